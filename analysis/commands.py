@@ -14,6 +14,7 @@ def add_run(commands: Any) -> None:
     """`run`: simulator, proxy, monitor and report from one scenario."""
     parser = commands.add_parser("run", help="fly a scenario: simulator + proxy + monitor + report")
     _add_scenario(parser)
+    _add_requirements(parser)
     parser.add_argument(
         "--estimators", metavar="ESTIMATORS",
         help="attitude estimators to score, comma-separated (default: the scenario's)",
@@ -75,6 +76,16 @@ def _add_scenario(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def _add_requirements(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--require",
+        action="append",
+        default=[],
+        metavar="FORMULA|NAME",
+        help="requirement in Signal Temporal Logic, or one of the library; repeatable",
+    )
+
+
 def _run(args: argparse.Namespace) -> int:
     # Imported late, as below: numba and GTSAM load slowly, and `--help` needs neither.
     from analysis.run.monitor_process import MonitorDiedError
@@ -130,6 +141,7 @@ def add_monitor(commands: Any) -> None:
         "--for", dest="for_s", type=float, metavar="S",
         help="end after S seconds of vehicle time (default: no limit)",
     )  # fmt: skip
+    _add_requirements(parser)
     add_bus(parser, "results")
     add_json(parser)
     parser.set_defaults(main=main_of("analysis.run.monitor_command"))
@@ -147,6 +159,14 @@ def add_search(commands: Any) -> None:
         help="how to search (default: the file's)",
     )  # fmt: skip
     parser.add_argument("--seed", type=int, metavar="N", help="random seed (default: the file's)")
+    parser.add_argument(
+        "--violate",
+        metavar="REQUIREMENT",
+        help="search for flights that violate a requirement: a formula or a name",
+    )
+    parser.add_argument(
+        "--first", action="store_true", default=None, help="stop at the first that violates it"
+    )
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
         "--workers", type=positive_count, metavar="N", help="processes on this machine (default: 1)"

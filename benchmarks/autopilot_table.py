@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from pyulog import ULog
 
-from analysis.campaign.cell import PATH, Evidence, FlightMark
-from analysis.campaign.flying.autopilot_evidence import collect_evidence
+from analysis.flying.autopilot_evidence import collect_evidence
+from analysis.flying.flight_evidence import PATH, Evidence, FlightMark
 from mavproxy_fault.documents.yaml_document import write_yaml
 from mavproxy_fault.wire.tlog import read_columns
 

@@ -9,6 +9,7 @@ show, so that the drawing changes with the rooms alone.
 """
 
 import ast
+import re
 import tomllib
 from html import escape
 from pathlib import Path
@@ -30,7 +31,7 @@ def layers() -> dict[str, list[list[str]]]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     contracts = project["tool"]["importlinter"]["contracts"]
     return {
-        contract["containers"][0]: [layer.split(" : ") for layer in contract["layers"]]
+        contract["containers"][0]: [re.split(" [:|] ", layer) for layer in contract["layers"]]
         for contract in contracts
         if contract["type"] == "layers" and contract["containers"][0] in PACKAGES
     }

@@ -147,7 +147,7 @@ def main(args: argparse.Namespace) -> int:
         wall_s = time.monotonic() - started_s
         labels = run.flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
-    judge_vehicle_of_run(summary, columns, labels, setup.criteria, under_autopilot=True)
+    judge_vehicle_of_run(summary, columns, labels, setup, folder, under_autopilot=True)
     report_unmatched_faults(summary, setup.schedule, labels)
     if reason:
         report_early_end(summary, reason)

@@ -1,17 +1,21 @@
 """Campaign files (YAML): subjects under test, scenarios, and faults."""
 
 import math
-from itertools import product
+from functools import cached_property
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
 
-from analysis.campaign.cell import MONITOR, CellResult
+from analysis.campaign.cell import CellResult
 from analysis.campaign.outcomes import ABORTED, OutcomeLimits, outcome_rank
 from analysis.estimators import estimator_names
+from analysis.flying.flight_evidence import MONITOR
+from analysis.flying.onset import onset_keys
 from analysis.monitor.pipeline import MonitorConfig, monitor_detectors
 from analysis.scoring.criteria import VehicleCriteria
+from analysis.scoring.requirements import parse_requirements
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.document_check import DocumentCheck, decode
 from mavproxy_fault.documents.document_kind import refuse_other_kinds
@@ -22,7 +26,6 @@ from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.schedule.entries import parse_entry
 
 MAGNITUDE = "value"  # the key of a fault that a magnitude sets by default
-PHASES = ("hover", "turn", "climb", "descent", "level", "landing")
 
 
 class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -59,7 +62,8 @@ class Magnitudes(_Section, frozen=True):
 
 
 class FaultChoice(_Section, frozen=True):
-    """A fault or preset; `magnitudes` replace its key `sets`; `also` holds further keys."""
+    """A fault or preset, or several `faults` at once; `magnitudes` replace its key `sets`; `also`
+    holds further keys. A part without magnitudes takes those of the whole."""
 
     id: str | None = None
     fault: str | None = None
@@ -68,15 +72,18 @@ class FaultChoice(_Section, frozen=True):
     magnitudes: tuple[float, ...] | Magnitudes | None = None
     sets: str = MAGNITUDE
     also: dict[str, Any] = {}
+    faults: tuple["FaultChoice", ...] = ()
 
     def __post_init__(self) -> None:
-        if (self.fault is None) == (self.preset is None):
-            raise ValueError("needs exactly one of fault and preset")
+        if [self.fault is None, self.preset is None, not self.faults].count(False) != 1:
+            raise ValueError("needs exactly one of fault, preset and faults")
 
     @property
     def name(self) -> str:
         """The name of the fault in results."""
         target = self.target if isinstance(self.target, str) else "+".join(self.target or [])
+        if self.faults and not self.id:
+            return " + ".join(part.name for part in self.faults)
         return self.id or " ".join(filter(None, (self.fault or self.preset, target)))
 
     def magnitude_list(self) -> list[float | None]:
@@ -103,8 +110,18 @@ class FaultChoice(_Section, frozen=True):
         # Logarithmic if possible: effects of faults span decades.
         return Magnitudes(low=low, high=high, spacing="log" if low > 0.0 else "linear")
 
-    def entry(self, magnitude: float | None, onset_s: float, duration_s: float) -> dict[str, Any]:
-        """Build the schedule entry of the fault."""
+    def entries(
+        self, magnitude: float | None, start: dict[str, Any], duration_s: float
+    ) -> list[dict[str, Any]]:
+        """Build the schedule entries of the fault; `start` has the keys of its onset."""
+        if self.faults:
+            return [
+                entry
+                for part in self.faults
+                for entry in part.entries(
+                    part.magnitude_list()[0] if part.magnitudes else magnitude, start, duration_s
+                )
+            ]
         entry: dict[str, Any] = {"id": self.name.replace(" ", "-"), **self.also}
         for key in ("fault", "preset", "target"):
             if getattr(self, key) is not None:
@@ -112,7 +129,7 @@ class FaultChoice(_Section, frozen=True):
         if magnitude is not None:
             entry[self.sets] = magnitude
         # Last, so that `also` cannot move the fault.
-        return {**entry, "at_s": onset_s, "for_s": duration_s}
+        return [{**entry, **start, "for_s": duration_s}]
 
 
 class SubjectChoice(_Section, frozen=True):
@@ -140,11 +157,20 @@ class CompiledScenario(_Section, frozen=True):
     compiled: dict[str, Any]
 
 
-class CampaignFile(_Section, frozen=True):
+class Combination(_Section, frozen=True):
+    """Faults at once, in addition to each alone: all pairs, or a covering array, in which each two
+    values of the campaign's lists occur together in one flight at least."""
+
+    faults: Literal[2] = 2
+    cover: Literal["all", "pairs"] = "all"
+
+
+class CampaignFile(_Section, frozen=True, dict=True):
     """A campaign file; the number of cells is the product of its lists.
 
-    `vary` lists values of scenario keys, such as wind and start, by their paths; `criteria` limit
-    what happens to the vehicle of an autopilot.
+    `vary` lists values of scenario keys, such as wind and start, by their paths; `requirements`
+    are judged in each flight, `criteria` limit what happens to the vehicle of an autopilot;
+    `combine` adds pairs of faults.
     """
 
     subjects: tuple[str | SubjectChoice, ...]
@@ -160,6 +186,8 @@ class CampaignFile(_Section, frozen=True):
     criteria: VehicleCriteria = VehicleCriteria()
     keep: Literal["none", "interesting", "all"] = "none"
     flight_limit_s: float = 600.0
+    requirements: Any = None
+    combine: Combination | Literal[2] | None = None
     folder: str = "."
 
     def __post_init__(self) -> None:
@@ -167,8 +195,10 @@ class CampaignFile(_Section, frozen=True):
             if not getattr(self, name):
                 raise ValueError(f"{name} is empty; give at least one")
         for onset in self.onsets:
-            if isinstance(onset, str) and onset not in PHASES:
-                raise ValueError(f"onsets: {onset} is unknown; give seconds or {', '.join(PHASES)}")
+            onset_keys(onset)
+        parse_requirements(self.requirements)
+        if self.combine and (self.find == "critical" or self.compiled):
+            raise ValueError("combine needs find: outcomes and scenario files")
         for path, values in self.vary.items():
             if not values:
                 raise ValueError(f"vary.{path} is empty; give at least one value")
@@ -223,15 +253,49 @@ class CampaignFile(_Section, frozen=True):
         return self.limits.fail_from or bisected
 
     def fails(self, result: CellResult) -> bool:
-        """Whether a cell fails: an aborted one does in any case, as one that misses a criterion."""
-        outcome = result.outcome
-        if outcome == ABORTED or result.failed:
+        """Whether a cell fails: aborted, by its outcome, a criterion or a violated requirement."""
+        violated = any(one.met is False for one in result.requirements)
+        if result.outcome == ABORTED or result.failed or violated:
             return True
-        return self.fail_from != ABORTED and outcome_rank(outcome) >= outcome_rank(self.fail_from)
+        worst = outcome_rank(result.outcome)
+        return self.fail_from != ABORTED and worst >= outcome_rank(self.fail_from)
 
-    def fault(self, name: str) -> FaultChoice:
-        """Return a fault by its name in results."""
-        return next(fault for fault in self.faults if fault.name == name)
+    @cached_property
+    def pairs(self) -> tuple[FaultChoice, ...]:
+        """The pairs of faults at once, each with one magnitude of either."""
+        sized = [
+            (fault, magnitude) for fault in self.faults for magnitude in fault.magnitude_list()
+        ]
+        return tuple(
+            _join_faults(one, other)
+            for one, other in (combinations(sized, 2) if self.combine else ())
+            if one[0] is not other[0]
+        )
+
+    @cached_property
+    def pair_names(self) -> frozenset[str]:
+        """The names of the pairs in results."""
+        return frozenset(pair.name for pair in self.pairs)
+
+    @property
+    def cover(self) -> str:
+        """Which pairs are flown."""
+        return self.combine.cover if isinstance(self.combine, Combination) else "all"
+
+    @cached_property
+    def all_faults(self) -> dict[str, FaultChoice]:
+        """The faults and pairs by their names in results."""
+        return {fault.name: fault for fault in (*self.faults, *self.pairs)}
+
+
+def _join_faults(*sized: tuple[FaultChoice, float | None]) -> FaultChoice:
+    """Return faults at once, each with a magnitude."""
+    parts = tuple(
+        msgspec.structs.replace(fault, id=fault.name, magnitudes=None if m is None else (m,))
+        for fault, m in sized
+    )
+    names = (f"{fault.name} {'' if m is None else f'{m:g}'}".rstrip() for fault, m in sized)
+    return FaultChoice(id=" + ".join(names), faults=parts)
 
 
 def read_campaign(path: Path | str) -> CampaignFile:
@@ -268,5 +332,6 @@ def read_campaign(path: Path | str) -> CampaignFile:
     # Parsed at the first magnitude, so that errors show before the first flight.
     for i, fault in enumerate(campaign.faults):
         where = f"{path}:{document.lines.get(('faults', i), 1)}: faults[{i}]"
-        parse_entry(fault.entry(fault.magnitude_list()[0], 0.0, 1.0), where)
+        for entry in fault.entries(fault.magnitude_list()[0], {"at_s": 0.0}, 1.0):
+            parse_entry(entry, where)
     return campaign

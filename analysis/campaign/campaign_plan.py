@@ -5,13 +5,16 @@ Cells with stored results are not flown again.
 """
 
 from collections.abc import Generator, Iterator, Mapping
+from functools import cached_property
 from itertools import groupby, product
 from pathlib import Path
 
 from analysis.campaign.bisection import HALVINGS, CriticalMagnitude, bisect_magnitude
 from analysis.campaign.campaign_file import CampaignFile, SubjectChoice
-from analysis.campaign.cell import HEALTHY, CampaignFlight, Cell, CellResult, file_key
+from analysis.campaign.cell import HEALTHY, Cell, CellResult, file_key
 from analysis.campaign.flying.flight_job import FlightJob, Job, LaneJob, setup_by_name
+from analysis.flying.flight_evidence import CampaignFlight
+from mavproxy_fault.documents.extras import import_extra
 
 MAX_BATCH_CELLS = 2048  # cells in one batch, so that progress shows and a kill loses little
 KnownResults = Mapping[str, CellResult]
@@ -32,13 +35,11 @@ class CampaignPlan:
     @property
     def max_cells(self) -> int:
         """The number of cells; the largest possible one for a critical search."""
-        campaign = self.campaign
-        if campaign.find == "critical":
-            per_fault = len(campaign.faults) * (HALVINGS + 2)
-        else:
-            per_fault = sum(len(fault.magnitude_list()) for fault in campaign.faults)
-        series = len(campaign.onsets) * len(campaign.durations_s) * len(campaign.seeds)
-        return len(self.subjects) * len(self.scenarios) * per_fault * series
+        faults, critical = self.campaign.all_faults, self.campaign.find == "critical"
+        return sum(
+            HALVINGS + 2 if critical else len(faults[cell.fault].magnitude_list())
+            for cell in self._series()
+        )
 
     @property
     def max_flights(self) -> int:
@@ -113,11 +114,40 @@ class CampaignPlan:
                 if missing:
                     yield _single_job(self._job(missing, references))
 
+    @cached_property
+    def _covering(self) -> frozenset[tuple[object, ...]]:
+        """The conditions of pairs in a covering array: each two values of the lists, one being a
+        fault with its magnitude, occur together."""
+        campaign = self.campaign
+        pairs = {
+            tuple(part.name + str(part.magnitudes) for part in pair.faults): pair.name
+            for pair in campaign.pairs
+        }
+        rows = import_extra("allpairspy").AllPairs(
+            [
+                [one for one, _ in pairs], [other for _, other in pairs], self.scenarios,
+                campaign.onsets, campaign.durations_s, campaign.seeds,
+            ],
+            filter_func=lambda row: len(row) < 2 or tuple(row[:2]) in pairs,
+        )  # fmt: skip
+        return frozenset((pairs[tuple(row[:2])], *row[2:]) for row in rows)
+
+    def _is_flown(self, cell: Cell) -> bool:
+        """Whether a cell is flown: of pairs under a covering array, only those in it."""
+        campaign = self.campaign
+        if campaign.cover == "all" or cell.fault not in campaign.pair_names:
+            return True
+        where = (cell.fault, cell.scenario, cell.onset, cell.duration_s, cell.seed)
+        return where in self._covering
+
     def _series(self) -> Iterator[Cell]:
         """Yield one cell of each series, without a magnitude."""
+        return filter(self._is_flown, self._all_series())
+
+    def _all_series(self) -> Iterator[Cell]:
         campaign = self.campaign
         for subject, scenario, fault, onset, duration_s, seed in product(
-            self.subjects, self.scenarios, campaign.faults, campaign.onsets,
+            self.subjects, self.scenarios, campaign.all_faults.values(), campaign.onsets,
             campaign.durations_s, campaign.seeds,
         ):  # fmt: skip
             yield Cell(
@@ -131,7 +161,7 @@ class CampaignPlan:
             for series in self._series():
                 if series.subject != group[0]:
                     continue
-                for magnitude in self.campaign.fault(series.fault).magnitude_list():
+                for magnitude in self.campaign.all_faults[series.fault].magnitude_list():
                     yield [cell_at(series, magnitude, subject) for subject in group]
 
     def _lanes(self, known: KnownResults) -> Iterator[JobSequence]:
@@ -154,7 +184,7 @@ class CampaignPlan:
         self, series: Cell, known: KnownResults, references: Mapping[str, CampaignFlight]
     ) -> JobSequence:
         """Bisect one series; an aborted flight ends it."""
-        search = bisect_magnitude(self.campaign.fault(series.fault).interval())
+        search = bisect_magnitude(self.campaign.all_faults[series.fault].interval())
         try:
             magnitude = next(search)
             while True:
@@ -173,7 +203,7 @@ class CampaignPlan:
         """Return the results of the completed bisections, by series."""
         results = {}
         for series in self._series():
-            search = bisect_magnitude(self.campaign.fault(series.fault).interval())
+            search = bisect_magnitude(self.campaign.all_faults[series.fault].interval())
             try:
                 magnitude = next(search)
                 while (

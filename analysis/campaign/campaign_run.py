@@ -4,10 +4,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from analysis.campaign.campaign_plan import CampaignPlan, JobSequence
-from analysis.campaign.cell import CampaignFlight, CellResult
+from analysis.campaign.cell import CellResult
 from analysis.campaign.flying.flight_job import JobAnswer
 from analysis.campaign.results_store import ResultsStore
 from analysis.campaign.worker_pool import WorkerPool
+from analysis.flying.flight_evidence import CampaignFlight
 from mavproxy_fault.documents.errors import ConfigError
 
 ProgressCallback = Callable[[list[CellResult]], None]

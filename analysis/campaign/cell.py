@@ -1,12 +1,12 @@
-"""A test cell of a campaign, the evidence of its flight, and its result."""
+"""A test cell of a campaign, and its result."""
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 
+from analysis.scoring.requirements import RequirementResult
+
 HEALTHY = "healthy"  # the `fault` of a reference flight
-MONITOR = "monitor"  # the subject name of the project's own detector
 
 
 class Cell(msgspec.Struct, frozen=True, kw_only=True):
@@ -65,63 +65,7 @@ class CellResult(msgspec.Struct, frozen=True, kw_only=True):
     note: str = ""
     failed: str = ""
     wall_s: float = 0.0
-
-
-class FlightMark(msgspec.Struct, frozen=True):
-    """An event of the flight; `kind` is one of `outcomes.RANKS`."""
-
-    t_s: float
-    kind: str
-    text: str = ""
-
-
-class EvidenceCurve(msgspec.Struct, frozen=True):
-    """Samples of one quantity over the flight."""
-
-    t_s: list[float]
-    value: list[float]
-
-
-class Evidence(msgspec.Struct, frozen=True):
-    """Records of a subject in a flight: curves by name, and marks in order of time."""
-
-    curves: dict[str, EvidenceCurve] = {}
-    marks: list[FlightMark] = []
-
-
-ATTITUDE, POSITION = "attitude error, deg", "position error, m"
-PATH = ("north, m", "east, m", "up, m")  # curves of the true position
-
-
-class CellVerdict(msgspec.Struct, frozen=True):
-    """The monitor's verdict on a fault, the sensors it isolated (`blamed`), and its delay."""
-
-    word: str = ""
-    blamed: str = ""
-    delay_s: float | None = None
-
-
-def monitor_verdict(faults: Sequence[Mapping[str, Any]]) -> CellVerdict:
-    """Take the verdict from the `faults` of a summary; of a preset's parts, the first detected."""
-    if not faults:
-        return CellVerdict()
-    detected = [fault for fault in faults if fault["delay_s"] is not None]
-    first = min(detected, key=lambda fault: fault["delay_s"]) if detected else faults[0]
-    # A sensor may have been isolated several times.
-    isolated = dict.fromkeys([*first["isolated"], *(row["who"] for row in first["wrongly"])])
-    return CellVerdict(first["verdict"], ", ".join(isolated), first["delay_s"])
-
-
-class CampaignFlight(msgspec.Struct, frozen=True):
-    """A completed flight: evidence by subject, start of each phase [s], and duration."""
-
-    evidence: dict[str, Evidence]
-    phases: dict[str, float] = {}
-    duration_s: float = 0.0
-    wall_s: float = 0.0
-    folder: str = ""
-    verdict: CellVerdict = CellVerdict()
-    failed: str = ""
+    requirements: list[RequirementResult] = []
 
 
 def file_key(*parts: Any) -> str:

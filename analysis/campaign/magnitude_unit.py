@@ -56,11 +56,15 @@ def magnitude_units(campaign: CampaignFile) -> dict[str, MagnitudeUnit]:
     if not campaign.compiled:
         file = campaign.scenario_arguments(campaign.scenario_names[0])[0]
         lat_rad = math.radians(decode_scenario(open_scenario(file)).start.lat_deg)
-    return {fault.name: fault_unit(fault, lat_rad) for fault in campaign.faults}
+    return {fault.name: fault_unit(fault, lat_rad) for fault in campaign.all_faults.values()}
 
 
 def fault_unit(choice: FaultChoice, lat_rad: float) -> MagnitudeUnit:
     """Return the unit of a fault's magnitudes at a latitude."""
+    if choice.faults:
+        # Parts with one magnitude have one unit, or none is shown.
+        units = {fault_unit(part, lat_rad) for part in choice.faults}
+        return units.pop() if len(units) == 1 else MagnitudeUnit()
     kind = fault_class(choice.fault) if choice.fault else None
     name = "" if kind is None else kind.name
     target = choice.target if isinstance(choice.target, str) else (choice.target or [""])[0]

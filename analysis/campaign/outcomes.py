@@ -11,12 +11,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.campaign.cell import (
+from analysis.campaign.cell import Cell, CellResult
+from analysis.flying.flight_evidence import (
     ATTITUDE,
     PATH,
     POSITION,
-    Cell,
-    CellResult,
     Evidence,
     EvidenceCurve,
     FlightMark,

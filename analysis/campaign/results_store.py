@@ -13,8 +13,9 @@ from typing import Any, TypeVar
 import msgspec
 
 from analysis.campaign.campaign_file import CampaignFile
-from analysis.campaign.cell import CampaignFlight, CellResult, Evidence
+from analysis.campaign.cell import CellResult
 from analysis.campaign.outcomes import ABORTED
+from analysis.flying.flight_evidence import CampaignFlight, Evidence
 from mavproxy_fault.documents.errors import ConfigError
 
 CAMPAIGN, CELLS, CURVES, REFERENCE_FLIGHTS = (

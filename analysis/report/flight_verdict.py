@@ -15,9 +15,11 @@ from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, chain_of, verdict_of
 from analysis.report.judging.fault_reaction import AFTER_FAULT_S, fault_reactions
 from analysis.report.judging.flight_facts import flight_facts
+from analysis.report.judging.flight_signals import judge_requirements
 from analysis.report.judging.vehicle_record import vehicle_outcome
 from analysis.report.recordings.flight_sources import RecordedFlight
 from analysis.scoring.criteria import Criteria, check_missed_faults
+from analysis.scoring.requirements import RequirementResult, read_requirements
 from analysis.scoring.vehicle_outcome import is_crash_text
 
 # Checks of the autopilot's own alarms, which are expected while a fault is injected.
@@ -46,6 +48,9 @@ def assess_flight(flight: RecordedFlight, thresholds: Thresholds) -> FlightAsses
     faults = flight.summary.get("faults") or fault_reactions(flight.labels, recording, raw)
     # The criteria of a run, or, for any labelled log, that no fault was missed.
     checks += [_criterion(row) for row in flight.summary.get("criteria", ()) or _missed(faults)]
+    requirements = read_requirements("requirements", thresholds.requirements)
+    judged = judge_requirements(requirements, recording, flight.labels, flight.results)
+    checks += map(_requirement_check, judged)
     # Failed checks become lanes of the timeline.
     recording = replace(recording, spans=recording.spans + _found(checks))
     flight = replace(flight, recording=recording)
@@ -79,6 +84,16 @@ def _criterion(row: Mapping[str, Any]) -> FlightCheck:
         verdict=words[row["passed"]],
         evidence="no value" if row["value"] is None else str(row["value"]),
         limit=str(row["limit"]),
+    )
+
+
+def _requirement_check(one: RequirementResult) -> FlightCheck:
+    return FlightCheck(
+        name=f"requirement: {one.name}",
+        verdict={True: PASS, False: FAIL, None: NONE}[one.met],
+        evidence=one.describe(),
+        limit=one.formula,
+        windows=() if one.at_s is None or one.met else ((one.at_s, one.at_s),),
     )
 
 

@@ -21,15 +21,20 @@ from analysis.recordings.flight_logs.log_condition import LogCondition
 from analysis.recordings.gnss.receiver_logs import is_receiver_log
 from analysis.recordings.position_reference import PositionReference, read_reference
 from analysis.recordings.read_recordings import read_log, read_rinex
+from analysis.report.curves.derived_curves import add_derived_curves
+from analysis.report.judging.flight_signals import judge_requirements
+from analysis.report.recordings.flight_sources import read_flight
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
 from analysis.run.stop_signal import StopCheck, stop_requests
 from analysis.run.terminal_summary import show_summary
 from analysis.run.unmatched_faults import report_unmatched_faults
+from analysis.run.vehicle_judging import add_requirements
 from analysis.samples.block import Block
 from analysis.samples.link_buffer import LinkBuffer
 from analysis.scoring.criteria import Criteria, CriterionCheck, receiver_criteria
 from analysis.scoring.integrity import Integrity
+from analysis.scoring.requirements import Requirement, read_requirements
 from analysis.work_progress import WorkProgress
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.recorder import encode_lines
@@ -51,7 +56,7 @@ ResultSink = Callable[[list[Result]], None]
 
 def main(args: argparse.Namespace) -> int:
     """Monitor until the source ends, the time is over or Ctrl-C; return the verdict's exit code."""
-    config, criteria = monitor_settings(args.scenario, args.sigma)
+    config, criteria, requirements = monitor_settings(args)
     if args.calibrate is not None:
         return calibrate_to(Path(args.calibrate), args, config)
     reference = None if args.truth is None else read_reference(args.truth)
@@ -60,8 +65,6 @@ def main(args: argparse.Namespace) -> int:
         criteria = criteria if args.scenario else receiver_criteria(reference is not None)
     elif args.log is not None and Path(args.log).is_file() and is_autopilot_log(Path(args.log)):
         config = msgspec.structs.replace(config, link=False)
-    if args.rinex is None and args.schedule is not None:
-        raise ConfigError("--schedule: needs --rinex; use `replay` to inject faults into a log")
     # On a link, the proxy is still writing the labels: they are read again at the end.
     if args.link is None:
         read_optional_labels(args.labels)  # report a wrong name before the work
@@ -70,8 +73,8 @@ def main(args: argparse.Namespace) -> int:
     config, learned = learn_from(recording, config)
     folder = make_folder(args.out, "monitor") if args.out else None
     monitor, integrity = Monitor(config, reference), Integrity(reference)
-    condition = LogCondition()
-    started_s = time.monotonic()
+    found: list[Result] = []  # for the requirements
+    condition, started_s = LogCondition(), time.monotonic()
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(open_results_bus(args))
         publisher = Publisher(bus) if bus else None
@@ -80,6 +83,7 @@ def main(args: argparse.Namespace) -> int:
 
         def deliver(results: list[Result]) -> None:
             integrity.add(results)
+            found.extend(results if requirements else ())
             if file is not None:
                 file.write(results)
             if publisher is not None:
@@ -98,6 +102,7 @@ def main(args: argparse.Namespace) -> int:
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
     report_log_damage(summary, condition)
+    judge_log(summary, args.log, requirements, labels or [], found)
     if injected is not None:
         report_unmatched_faults(summary, read_schedule(args.schedule), injected)
     summary |= {"noise": learned.describe()} if learned is not None else {}
@@ -110,26 +115,48 @@ def main(args: argparse.Namespace) -> int:
     return show_summary(args, summary, folder)
 
 
+def judge_log(
+    summary: dict[str, Any],
+    log: str,
+    requirements: Sequence[Requirement],
+    labels: Sequence[Label],
+    results: Sequence[Result],
+) -> None:
+    """Add the requirements, as the flight of a log meets them, to a summary."""
+    if requirements:
+        flight = add_derived_curves(read_flight([Path(log)], labels).recording)
+        add_requirements(summary, judge_requirements(requirements, flight, labels, results))
+
+
 def open_results_bus(args: argparse.Namespace) -> contextlib.AbstractContextManager[Bus | None]:
     """Open the bus for results; for recordings only if --zenoh is given."""
     choice = "off" if args.zenoh == "auto" and args.link is None else args.zenoh
     return open_run_bus(choice, "live", "monitor", args.zenoh_config)
 
 
-def monitor_settings(scenario: str | None, sigma: str | None) -> tuple[MonitorConfig, Criteria]:
-    """Return the monitor settings and criteria of a scenario or the defaults, and a noise model."""
+def monitor_settings(
+    args: argparse.Namespace,
+) -> tuple[MonitorConfig, Criteria, tuple[Requirement, ...]]:
+    """Return monitor settings with a noise model, criteria and requirements, of a scenario or the
+    defaults."""
     config, criteria = MonitorConfig(), Criteria()
-    if scenario is not None:
+    requirements = read_requirements("--require", args.require)
+    if args.scenario is not None:
         from analysis.run.run_setup import read_setup
 
-        setup = read_setup(scenario)
+        setup = read_setup(args.scenario)
         config, criteria = setup.monitor, setup.criteria
-    if sigma is not None:
+        requirements += setup.requirements
+    if args.rinex is None and args.schedule is not None:
+        raise ConfigError("--schedule: needs --rinex; use `replay` to inject faults into a log")
+    if args.require and args.log is None:
+        raise ConfigError("--require: needs a complete flight; give --log")
+    if args.sigma is not None:
         from analysis.detection.learn_noise import read_sigma
 
-        detector = msgspec.structs.replace(config.detector, sigma=read_sigma(Path(sigma)))
+        detector = msgspec.structs.replace(config.detector, sigma=read_sigma(Path(args.sigma)))
         config = msgspec.structs.replace(config, detector=detector)
-    return config, criteria
+    return config, criteria, requirements if args.log else ()
 
 
 def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) -> int:

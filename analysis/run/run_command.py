@@ -84,7 +84,7 @@ def main(args: argparse.Namespace) -> int:
         wall_s = time.monotonic() - started_s
         labels = flight.completed_labels()
         summary = monitor.summary(labels, setup.criteria, wall_s)
-    judge_vehicle_of_run(summary, columns, labels, setup.criteria)
+    judge_vehicle_of_run(summary, columns, labels, setup, folder)
     report_unmatched_faults(summary, setup.schedule, labels)
     summary["edited"] = describe_edits(read_edits(folder / EDITS), flight.core.clock.t0_us or 0)
     curves = []

@@ -12,6 +12,7 @@ from analysis.estimators import estimator_names
 from analysis.monitor.pipeline import MonitorConfig, monitor_config
 from analysis.run.vehicle_effects import vehicle_effects
 from analysis.scoring.criteria import Criteria
+from analysis.scoring.requirements import Requirement, read_requirements
 from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
@@ -34,6 +35,7 @@ class RunSetup:
     schedule: Schedule
     monitor: MonitorConfig
     criteria: Criteria
+    requirements: tuple[Requirement, ...] = ()
 
 
 def read_setup(
@@ -42,11 +44,12 @@ def read_setup(
     seed: int | None = None,
     changes: Mapping[str, Any] | None = None,
     estimators: Sequence[str] | None = None,
+    required: Sequence[str] = (),
 ) -> RunSetup:
     """Read a scenario (None: the demo), and replace its schedule, seed or values if given.
 
     `changes` are values of the scenario by their paths, as in `changed_scenario`; `estimators`
-    replace the attitude estimators that the scenario names.
+    replace the attitude estimators that the scenario names; `required` are further requirements.
 
     Raises
     ------
@@ -75,7 +78,11 @@ def read_setup(
     monitor = msgspec.structs.replace(
         monitor, actuators=vehicle_effects(scenario), field_ned_gauss=_field_ned_gauss(scenario)
     )
-    return RunSetup(scenario, faults, monitor, criteria)
+    requirements = read_requirements(f"{document.where}: requirements", scenario.requirements)
+    requirements += read_requirements("--require", list(required))
+    # One of both places is judged once.
+    named = {one.label: one for one in requirements}
+    return RunSetup(scenario, faults, monitor, criteria, tuple(named.values()))
 
 
 def setup_from_args(args: argparse.Namespace) -> RunSetup:
@@ -85,7 +92,7 @@ def setup_from_args(args: argparse.Namespace) -> RunSetup:
     for name in estimators or ():
         if name not in (known := estimator_names()):
             raise ConfigError(f"--estimators: {name} is unknown; {suggest_known(name, known)}")
-    return read_setup(args.scenario, args.schedule, args.seed, changes, estimators)
+    return read_setup(args.scenario, args.schedule, args.seed, changes, estimators, args.require)
 
 
 def _check_plant(scenario: Scenario, schedule: Schedule) -> None:

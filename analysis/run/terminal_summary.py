@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from analysis.scoring.requirements import RequirementResult
 from analysis.scoring.run_remarks import run_remarks
 from analysis.scoring.vehicle_outcome import VehicleOutcome, describe_vehicle
 from mavproxy_fault.app.command_result import open_console, plain_table, print_result
@@ -67,7 +68,12 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         f"time            {summary['sim_s']:.1f} s of flight in {summary['wall_s']:.1f} s"
         f" (x{speed:.1f})"
     )
-    _print_criteria(console, summary["criteria"])
+    judged = msgspec.convert(summary.get("requirements", []), list[RequirementResult])
+    for one in judged:
+        style = {True: "green", False: "red", None: "yellow"}[one.met]
+        console.print(f"requirement     {one.name}: {one.describe()}", style=style, soft_wrap=True)
+    names = {one.name for one in judged}
+    _print_criteria(console, [row for row in summary["criteria"] if row["name"] not in names])
     for row in summary.get("effects", ()):
         console.print(f"effect          {row['id']}: {_effect(row)}", soft_wrap=True)
     console.print("verdict        ", _coloured(summary["verdict"]))

@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from analysis.scoring.outcome import ISOLATED, LATE, MISSED, NOT_JUDGED
+from analysis.scoring.requirements import RequirementResult
 from analysis.scoring.vehicle_outcome import (
     CRASHED,
     FAILSAFE,
@@ -184,6 +185,14 @@ def check_vehicle(
             passed = None if value is None else value <= most
             checks.append(_vehicle_check(name, most, value, passed))
     return checks
+
+
+def check_requirements(results: Sequence[RequirementResult]) -> list[CriterionCheck]:
+    """Return a check for each requirement; one that the flight does not show has no verdict."""
+    return [
+        CriterionCheck(name=one.name, limit=one.formula, value=one.describe(), passed=one.met)
+        for one in results
+    ]
 
 
 def _check_failsafe(

@@ -11,7 +11,7 @@ from analysis.search.evaluation.compiled_batch import Batch, ned_velocity
 from analysis.search.shrink import pin_values
 from analysis.search.space.point_scenario import document_of, faults_of
 from analysis.search.space.test_file import AUTOPILOT, TestFile
-from mavproxy_fault.documents.yaml_document import write_yaml
+from mavproxy_fault.documents.yaml_document import without_none, write_yaml
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
 
 
@@ -85,7 +85,7 @@ def campaign_document(
     if test.autopilot is not None:
         kind = test.autopilot.kind
         choice = {"binary": test.autopilot.binary or kind, "parameters": test.autopilot.parameters}
-        subject = _without_none({"name": kind, "autopilot": kind, **choice})
+        subject = without_none({"name": kind, "autopilot": kind, **choice})
     known = ("id", "fault", "target", "value", "at_s", "for_s")
     entry = {key: fault[key] for key in ("id", "fault", "target")}
     if "value" in fault:
@@ -103,23 +103,16 @@ def campaign_document(
 
 def scenario_yaml(test: TestFile, scenario: Mapping[str, Any]) -> str:
     """A scenario file; keys without value (None) are left out."""
-    text = write_yaml(_without_none(scenario))
+    text = write_yaml(without_none(scenario))
     # An autopilot is an external program: a scenario alone cannot start it.
     if test.estimator == AUTOPILOT:
         return "# Fly by `run --autopilot`, or by `search` with the test file beside it.\n" + text
     return text
 
 
-def _without_none(node: Any) -> Any:
-    """A copy of a document without entries that are None."""
-    if isinstance(node, Mapping):
-        return {key: _without_none(value) for key, value in node.items() if value is not None}
-    return [_without_none(item) for item in node] if isinstance(node, (list, tuple)) else node
-
-
 def yaml_of_test(test: TestFile) -> str:
     """The YAML text of a test file that reads back as `test`."""
-    document = _without_none(msgspec.to_builtins(test))
+    document = without_none(msgspec.to_builtins(test))
     # A drawn target is written as `target`; with its list it would be drawn again.
     for fault in document["faults"]:
         if "target" in fault:

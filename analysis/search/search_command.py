@@ -1,6 +1,7 @@
 """`search`: search for the worst case of an estimator until the budget is used up."""
 
 import argparse
+import shutil
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -19,6 +20,7 @@ from analysis.search.cases import (
     noiseless_error,
     write_cases,
 )
+from analysis.search.counterexample import Counterexample, reduce_case
 from analysis.search.evaluation.compiled_batch import EvaluationOutcome
 from analysis.search.evaluation.evaluator import make_evaluator
 from analysis.search.evaluation.pool import Pool, pool_of
@@ -54,6 +56,8 @@ def main(args: argparse.Namespace) -> int:
             def show(tests: int, worst: float, budget: int) -> None:
                 bar.show(tests, f"worst {worst:.4g} {test.unit}", budget)
 
+            if test.violate is not None:
+                return falsify(test, pool, folder, show, bar.say)
             cases, totals = run_search(test, pool, folder, show, bar.say)
     finally:
         pool.close()
@@ -70,13 +74,49 @@ def apply_options(test: TestFile, args: argparse.Namespace) -> TestFile:
     """The test with the command line's options."""
     changes = {
         name: getattr(args, name)
-        for name in ("budget", "method", "seed")
+        for name in ("budget", "method", "seed", "violate", "first")
         if getattr(args, name, None) is not None
     }
     # `1` if not given: the test file has been checked already.
     if changes.get("budget", 1) <= 0:
         raise ConfigError(f"--budget: {changes['budget']} is not positive; give 1 or more")
-    return msgspec.structs.replace(test, **changes)
+    changed = msgspec.structs.replace(test, **changes)
+    if changed.violate is not None:
+        try:
+            _ = changed.requirement
+        except ValueError as error:
+            raise ConfigError(f"--violate: {error}") from None
+    return changed
+
+
+def falsify(
+    test: TestFile, pool: Pool, folder: Path, progress: Progress, say: Callable[[str], None]
+) -> int:
+    """Search for flights that violate the requirement, and reduce them; return 1 if there are any.
+
+    Each counterexample has a folder with its scenario, schedule and curves.
+    """
+    archive = Archive(test.keep)
+    tests, _ = search_cases(test, pool, folder, archive, Counter(), progress)
+    violating = [case for case in archive.cases if case.fitness > 0.0]
+    found: dict[tuple[str, ...], Counterexample] = {}
+    for case in violating:
+        if len(found) == test.keep:
+            break
+        say(f"test {case.number}: violated by {case.fitness:.3g}; reducing it")
+        place = folder / f"counterexample-{len(found) + 1:02}"
+        shutil.rmtree(place, ignore_errors=True)  # of an interrupted search, or alike
+        reduced = reduce_case(test, case, place)
+        # One for each behaviour and kinds of faults, in place of many of the same.
+        found.setdefault(reduced.likeness, reduced)
+    print(f"{test.requirement.label}: {tests} flights, {len(violating)} of the kept violate it")
+    for one in found.values():
+        print(f"\n{one.describe()}")
+    summary = {
+        "requirement": test.requirement, "flights": tests, "counterexamples": [*found.values()]
+    }  # fmt: skip
+    (folder / "search-summary.json").write_bytes(msgspec.json.encode(summary))
+    return int(bool(found))
 
 
 def new_folder(parent: Path) -> Path:
@@ -136,6 +176,8 @@ def search_cases(
     tests = steps = 0
     try:
         while tests < budget and time.monotonic() < deadline:
+            if test.first and archive.cases and archive.cases[0].fitness > 0.0:
+                break
             points = method.ask()
             requested = len(points)
             # The last batch may be larger than the rest of the budget.

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from analysis.search.evaluation.evaluator import make_evaluator
 from analysis.search.space.dimensions import target_of
+from analysis.search.space.fault_range import healthy_value
 from analysis.search.space.test_file import (
     InitialState,
     Mission,
@@ -65,9 +66,7 @@ def fault_names(test: TestFile) -> list[str]:
 def scale_toward_none(test: TestFile, name: str, value: float, share: Array) -> Array:
     """Values (n,) between no fault (share 0) and `value` (share 1)."""
     index = int(name[len("faults[") : name.index("]")])
-    scale = test.faults[index].fault == "scale" and name.endswith(".value")
-    # A scale of one is no fault; of everything else zero is.
-    healthy = 1.0 if scale else 0.0
+    healthy = healthy_value(test.faults[index].fault) if name.endswith(".value") else 0.0
     if name.endswith(".for_s"):
         # A fault beyond the end of the flight is limited to the flight.
         value = min(value, test.duration_s)

@@ -10,8 +10,8 @@ from mavproxy_fault.documents.errors import ConfigError
 
 LOG = logging.getLogger(__name__)
 EXTRAS = {
-    "ahrs": "ahrs", "foxglove": "mcap", "hatanaka": "rinex", "matplotlib": "plots", "mcap": "mcap",
-    "pyarrow": "parquet",
+    "ahrs": "ahrs", "allpairspy": "falsify", "foxglove": "mcap", "hatanaka": "rinex",
+    "matplotlib": "plots", "mcap": "mcap", "pyarrow": "parquet",
 }  # fmt: skip
 
 

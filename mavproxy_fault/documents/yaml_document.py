@@ -9,7 +9,7 @@ aliases keep a hostile text from exhausting stack, memory or time.
 """
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple, NoReturn
@@ -125,6 +125,13 @@ def read_yaml(text: str, where: str) -> Document:
 def write_yaml(data: Any, *, flow: bool | None = False, width: int = 80) -> str:
     """Format data as YAML for `read_yaml`; `flow` None puts innermost values on one line."""
     return yaml.dump(data, Dumper=_Dumper, sort_keys=False, default_flow_style=flow, width=width)
+
+
+def without_none(node: Any) -> Any:
+    """Return a copy of a document without entries that are None."""
+    if isinstance(node, Mapping):
+        return {key: without_none(value) for key, value in node.items() if value is not None}
+    return [without_none(item) for item in node] if isinstance(node, (list, tuple)) else node
 
 
 def parse_scalar(text: str) -> Any:

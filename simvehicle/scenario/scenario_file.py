@@ -1,7 +1,7 @@
 """The scenario file: one flight with its vehicle, weather and sensors.
 
-The sections `schedule`, `monitor` and `criteria` are decoded elsewhere. Lengths are in m, speeds in
-m/s, angles in degrees; each key ends in its unit.
+The sections `schedule`, `monitor`, `criteria` and `requirements` are decoded elsewhere. Lengths are
+in m, speeds in m/s, angles in degrees; each key ends in its unit.
 """
 
 from datetime import UTC, datetime
@@ -196,6 +196,7 @@ class Scenario(_Section, frozen=True):
     schedule: Any = None
     monitor: Any = None
     criteria: Any = None
+    requirements: Any = None
 
     def __post_init__(self) -> None:
         if self.duration_s <= 0.0:

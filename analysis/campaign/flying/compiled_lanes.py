@@ -67,7 +67,7 @@ def lane_test_file(campaign: CampaignFile, cell: Cell) -> TestFile:
     scenario = next(
         s for s in campaign.scenarios if isinstance(s, CompiledScenario) and s.name == cell.scenario
     )
-    fault = campaign.fault(cell.fault)
+    fault = campaign.all_faults[cell.fault]
     target = fault.target if isinstance(fault.target, str) else None
     entry = {"fault": fault.fault, "target": target, "at_s": 0.0, "for_s": 1.0, "also": fault.also}
     if cell.magnitude is not None:

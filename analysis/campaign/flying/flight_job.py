@@ -3,17 +3,21 @@
 import shutil
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from analysis.campaign.campaign_file import CampaignFile
-from analysis.campaign.cell import HEALTHY, CampaignFlight, Cell, CellResult, Evidence
-from analysis.campaign.flying.internal_flight import run_simulated_flight
+from analysis.campaign.cell import HEALTHY, Cell, CellResult
 from analysis.campaign.outcomes import ABORTED, classify_flight, outcome_rank
 from analysis.estimators import estimator_names
+from analysis.flying.flight_evidence import CampaignFlight, Evidence
+from analysis.flying.internal_flight import run_simulated_flight
+from analysis.flying.onset import onset_keys
 from analysis.run.run_setup import RunSetup, read_setup
+from analysis.scoring.requirements import parse_requirements, requirement_arguments
 from mavproxy_fault.schedule.entries import parse_schedule
 from simvehicle.scenario.changed_scenario import parse_change
 
@@ -65,12 +69,19 @@ def run_job(job: Job) -> JobAnswer:
 
         return JobAnswer(run_lanes(job.campaign, job.cells))
     first = job.cells[0]
-    onset_s = onset_time_s(first, job.reference)
-    if onset_s is None:
-        return aborted_answer(job, f"the flight has no {first.onset}")
-    flight = run_cell_flight(job, onset_s)
+    start = onset_keys(first.onset)
+    # The phase of the reference flight, since the fault may keep its own from reaching it.
+    if not start and job.reference is not None:
+        if first.onset not in job.reference.phases:
+            return aborted_answer(job, f"the flight has no {first.onset}")
+        start = {"at_s": job.reference.phases[str(first.onset)]}
+    flight = run_cell_flight(job, start)
     if job.reference is None:
         return JobAnswer([], flight)
+    # A condition is met when the flight does so.
+    onset_s = start["at_s"] if len(start) == 1 else flight.fault_s
+    if onset_s is None:
+        return aborted_answer(job, f"no fault acted: {first.onset} did not come")
     results = [
         msgspec.structs.replace(
             classify_flight(
@@ -85,6 +96,7 @@ def run_job(job: Job) -> JobAnswer:
             verdict_s=flight.verdict.delay_s,
             failed=flight.failed,
             wall_s=flight.wall_s,
+            requirements=flight.requirements.get(cell.subject, []),
         )
         for cell in job.cells
     ]
@@ -104,29 +116,22 @@ def aborted_answer(job: Job, reason: str) -> JobAnswer:
     return JobAnswer([CellResult(cell=cell, outcome=ABORTED, note=reason) for cell in job.cells])
 
 
-def onset_time_s(cell: Cell, reference: CampaignFlight | None) -> float | None:
-    """Return the onset of the fault [s]; None if the reference flight lacks the phase."""
-    if not isinstance(cell.onset, str):
-        return float(cell.onset)
-    # In the reference flight, since the fault may keep its own flight from reaching the phase.
-    return None if reference is None else reference.phases.get(cell.onset)
-
-
-def run_cell_flight(job: FlightJob, onset_s: float) -> CampaignFlight:
+def run_cell_flight(job: FlightJob, start: dict[str, Any]) -> CampaignFlight:
     """Fly the cells' scenario, with their fault unless this is the reference flight."""
     cell, campaign = job.cells[0], job.campaign
-    entries = []
+    entries: list[dict[str, Any]] = []
     if cell.fault != HEALTHY:
-        fault = campaign.fault(cell.fault)
-        entries.append(fault.entry(cell.magnitude, onset_s, cell.duration_s))
+        fault = campaign.all_faults[cell.fault]
+        entries = fault.entries(cell.magnitude, start, cell.duration_s)
     schedule = {"seed": cell.seed, "faults": entries}
     autopilot = campaign.autopilot(cell.subject)
     if autopilot is not None:
-        from analysis.campaign.flying.autopilot_cell import run_autopilot_cell
+        from analysis.flying.autopilot_cell import run_autopilot_cell
 
         with tempfile.TemporaryDirectory(prefix="campaign-") as scratch:
             folder, kept = Path(job.keep or scratch), job.keep is not None
             run = [*campaign.scenario_arguments(cell.scenario), *autopilot.options(campaign.folder)]
+            run += requirement_arguments(parse_requirements(campaign.requirements))
             return run_autopilot_cell(
                 autopilot.name, run, schedule, folder, campaign.criteria, kept=kept
             )
@@ -134,7 +139,8 @@ def run_cell_flight(job: FlightJob, onset_s: float) -> CampaignFlight:
     setup = setup_by_name(campaign, cell.scenario, cell.seed, subjects)
     faults = parse_schedule(schedule, campaign.name)
     keep = None if job.keep is None else Path(job.keep)
-    return run_simulated_flight(setup.scenario, faults, setup.monitor, subjects, keep)
+    setup = replace(setup, schedule=faults)
+    return run_simulated_flight(setup, subjects, keep)
 
 
 def setup_by_name(
@@ -146,4 +152,6 @@ def setup_by_name(
     # The monitor and its detectors run in any case.
     estimators = [name for name in subjects if name in estimator_names()]
     # Every other argument is the option's name.
-    return read_setup(file, None, seed, dict(map(parse_change, changes[1::2])), estimators)
+    required = requirement_arguments(parse_requirements(campaign.requirements))[1::2]
+    changed = dict(map(parse_change, changes[1::2]))
+    return read_setup(file, None, seed, changed, estimators, required)

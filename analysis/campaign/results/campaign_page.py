@@ -15,7 +15,7 @@ import msgspec
 
 from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.campaign_plan import CampaignPlan
-from analysis.campaign.cell import CellResult, Evidence, EvidenceCurve
+from analysis.campaign.cell import CellResult
 from analysis.campaign.magnitude_unit import MagnitudeUnit, magnitude_units
 from analysis.campaign.outcomes import RANKS, OutcomeLimits, outcome_rank
 from analysis.campaign.results.outcome_grid import (
@@ -27,6 +27,9 @@ from analysis.campaign.results.outcome_grid import (
 )
 from analysis.campaign.results_store import CellEvidence
 from analysis.estimators import estimator_names
+from analysis.flying.flight_evidence import Evidence, EvidenceCurve
+from analysis.flying.onset import onset_keys
+from analysis.scoring.requirements import parse_requirements, requirement_arguments
 
 MAX_LISTED = 5000  # results in the page, the worst ones
 MAX_CURVE_POINTS = 200  # of one curve
@@ -113,7 +116,8 @@ def _result_model(result: CellResult, campaign: CampaignFile) -> dict[str, objec
     cell = msgspec.structs.asdict(fields.pop("cell"))
     # Four digits for display; `cells.csv` has the full values.
     rounded = {k: float(f"{v:.4g}") if isinstance(v, float) else v for k, v in fields.items()}
-    return {**cell, **rounded, "again": rerun_command(result, campaign)}
+    judged = [f"{one.name}: {one.describe()}" for one in result.requirements]
+    return {**cell, **rounded, "requirements": judged, "again": rerun_command(result, campaign)}
 
 
 def rerun_command(result: CellResult, campaign: CampaignFile) -> str:
@@ -122,8 +126,9 @@ def rerun_command(result: CellResult, campaign: CampaignFile) -> str:
     if campaign.compiled:
         return ""
     cell = result.cell
-    entry = campaign.fault(cell.fault).entry(cell.magnitude, result.onset_s, cell.duration_s)
-    schedule = json.dumps({"seed": cell.seed, "faults": [entry]})
+    start = onset_keys(cell.onset) or {"at_s": result.onset_s}
+    entries = campaign.all_faults[cell.fault].entries(cell.magnitude, start, cell.duration_s)
+    schedule = json.dumps({"seed": cell.seed, "faults": entries})
     autopilot = campaign.autopilot(cell.subject)
     arguments = ["mavproxy-fault", "run", *campaign.scenario_arguments(cell.scenario)]
     arguments += ["--schedule", "cell.yaml", "--seed", str(cell.seed)]
@@ -131,7 +136,7 @@ def rerun_command(result: CellResult, campaign: CampaignFile) -> str:
         arguments += autopilot.options(campaign.folder)
     elif cell.subject in estimator_names():
         arguments += ["--estimators", cell.subject]
-    arguments.append("--ui")
+    arguments += [*requirement_arguments(parse_requirements(campaign.requirements)), "--ui"]
     return f"echo {shlex.quote(schedule)} > cell.yaml && {shlex.join(arguments)}"
 
 

@@ -15,7 +15,11 @@ from analysis.campaign.cell import CellResult
 from analysis.campaign.magnitude_unit import magnitude_units
 from analysis.campaign.outcomes import ABORTED
 from analysis.campaign.results.campaign_page import render_campaign_page
-from analysis.campaign.results.outcome_grid import severity_key
+from analysis.campaign.results.outcome_grid import (
+    find_interactions,
+    requirement_counts,
+    severity_key,
+)
 from analysis.campaign.results.outcome_markdown import render_markdown
 from analysis.campaign.results_store import (
     BASELINE,
@@ -84,6 +88,8 @@ def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str,
         by_fault = counts.setdefault(result.cell.subject, {})
         by_fault.setdefault(result.cell.fault, Counter())[result.outcome] += 1
     summary["outcomes"] = counts
+    summary["requirements"] = requirement_counts(results)
+    summary["pairs"] = [result.cell.key for result in find_interactions(plan.campaign, results)]
     if plan.campaign.find == "critical":
         known = {result.cell.key: result for result in results}
         summary["critical"] = [
@@ -134,8 +140,8 @@ def name_tests(campaign: CampaignFile, results: Sequence[CellResult]) -> list[st
 
 
 def write_junit(path: Path, campaign: CampaignFile, results: list[CellResult]) -> None:
-    """Write one test case per cell; it fails as `CampaignFile.fails` says."""
-    suite = ElementTree.Element("testsuite", name=campaign.name, tests=str(len(results)))
+    """Write one test case per cell, which fails by its outcome, and one per requirement of it."""
+    suite = ElementTree.Element("testsuite", name=campaign.name)
     failures = errors = 0
     for result, name in zip(results, name_tests(campaign, results), strict=True):
         cell = result.cell
@@ -150,10 +156,21 @@ def write_junit(path: Path, campaign: CampaignFile, results: list[CellResult]) -
         if result.outcome == ABORTED:
             errors += 1
             ElementTree.SubElement(case, "error", message=result.note)
-        elif campaign.fails(result):
+        elif campaign.fails(msgspec.structs.replace(result, requirements=[])):
             failures += 1
             text = f"{result.outcome}; {result.failed or describe_excursions(result)}"
             ElementTree.SubElement(case, "failure", message=text)
+        for one in result.requirements:
+            case = ElementTree.SubElement(
+                suite, "testcase", classname=f"{campaign.name}.{cell.subject}",
+                name=f"{one.name}: {name}",
+            )  # fmt: skip
+            if one.met is None:
+                ElementTree.SubElement(case, "skipped", message=one.reason)
+            elif not one.met:
+                failures += 1
+                ElementTree.SubElement(case, "failure", message=one.describe())
+    suite.set("tests", str(len(suite)))
     suite.set("failures", str(failures))
     suite.set("errors", str(errors))
     ElementTree.ElementTree(suite).write(path, encoding="utf-8", xml_declaration=True)

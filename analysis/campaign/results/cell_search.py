@@ -42,7 +42,7 @@ def write_search(folder: Path, key: str | None) -> Path:
 def search_test_file(campaign: CampaignFile, result: CellResult, folder: Path) -> dict[str, Any]:
     """Build the test file around a cell: magnitude, onset and duration become ranges."""
     cell = result.cell
-    fault = campaign.fault(cell.fault)
+    fault = campaign.all_faults[cell.fault]
     if fault.preset is not None or fault.sets != MAGNITUDE or not isinstance(fault.target, str):
         raise ConfigError(
             f"{cell.fault}: a search can only vary the value of a fault on one target"

@@ -9,7 +9,12 @@ from rich.text import Text
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.magnitude_unit import MagnitudeUnit, magnitude_units
 from analysis.campaign.outcomes import ABORTED
-from analysis.campaign.results.outcome_grid import GridCell, outcome_grid
+from analysis.campaign.results.outcome_grid import (
+    GridCell,
+    find_interactions,
+    outcome_grid,
+    requirement_counts,
+)
 from analysis.campaign.results_store import read_campaign_folder
 from mavproxy_fault.app.command_result import open_console, plain_table
 
@@ -35,6 +40,15 @@ def print_outcomes(folder: Path, plan: CampaignPlan) -> None:
     console.print(table)
     if plan.campaign.find == "critical":
         console.print(_criticals(plan, {result.cell.key: result for result in results}, units))
+    for name, counts in requirement_counts(results).items():
+        total = sum(counts[word] for word in ("satisfied", "violated", "not shown"))  # type: ignore[misc]
+        console.print(
+            f"requirement {name}: violated in {counts['violated']} of {total} cells; worst: "
+            f"{counts['worst']} in {counts['cell']}",
+            soft_wrap=True,
+        )
+    for result in find_interactions(campaign, results):
+        console.print(f"fails only as a pair: {result.cell.key}: {result.outcome}", soft_wrap=True)
     aborted = [result for result in results if result.outcome == ABORTED]
     # Five are enough to see the reason; the files have all.
     for result in aborted[:5]:

@@ -8,6 +8,8 @@ where ArduPilot's crash check starts; innovation ratios from MAVLink's ESTIMATOR
 measurement is rejected). The others are chosen so that an uneventful flight passes.
 """
 
+from typing import Any
+
 import msgspec
 
 from mavproxy_fault.documents.document_check import decode
@@ -52,6 +54,7 @@ class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     cell_v: tuple[float, float] = (3.4, 3.2)
     long_loops_percent: tuple[float, float] = (6.0, 10.0)  # as ArduPilot's LogAnalyzer
     hold_s: float = 1.0
+    requirements: Any = None  # as in a scenario
 
 
 def read_thresholds(path: str | None) -> Thresholds:

@@ -22,7 +22,7 @@ from analysis.scoring.attitude_scoring import AUTOPILOTS
 from analysis.scoring.vehicle_outcome import BAD_ENDS
 from analysis.search.space.test_file import AutopilotChoice
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.yaml_document import write_yaml
+from mavproxy_fault.documents.yaml_document import without_none, write_yaml
 
 Array = NDArray[np.float64]
 REFERENCE_SEED = 1
@@ -66,18 +66,26 @@ def _fly(
     choice: AutopilotChoice, document: Mapping[str, Any], settle_s: float
 ) -> AutopilotAttitude:
     """Fly; return the autopilot's attitude errors."""
-    with tempfile.TemporaryDirectory(prefix="search-") as folder:
-        file = Path(folder) / "scenario.yaml"
-        scenario = {key: value for key, value in document.items() if key != "schedule"}
-        file.write_text(write_yaml(_without_none(scenario)))
-        arguments = [str(file), "--autopilot", choice.kind]
-        for option, value in (("--binary", choice.binary), ("--parameters", choice.parameters)):
-            arguments += [option, value] if value is not None else []
+    with tempfile.TemporaryDirectory(prefix="search-") as scratch:
+        folder = Path(scratch)
+        arguments = flight_arguments(choice, document, folder)
         schedule = {"seed": document["seed"], "faults": document["schedule"]["faults"]}
-        run, summary = repeat_flight_process(
-            "autopilot", arguments, schedule, Path(folder), kept=False
-        )
+        run, summary = repeat_flight_process("autopilot", arguments, schedule, folder, kept=False)
         return _read(run, summary, settle_s)
+
+
+def flight_arguments(
+    choice: AutopilotChoice, document: Mapping[str, Any], folder: Path
+) -> list[str]:
+    """Write the scenario of a point to a folder; return the arguments of `run` that fly it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / "scenario.yaml"
+    scenario = {key: value for key, value in document.items() if key != "schedule"}
+    file.write_text(write_yaml(without_none(scenario)))
+    arguments = [str(file), "--autopilot", choice.kind]
+    for option, value in (("--binary", choice.binary), ("--parameters", choice.parameters)):
+        arguments += [option, value] if value is not None else []
+    return arguments
 
 
 def _read(run: Path, summary: Mapping[str, Any], settle_s: float) -> AutopilotAttitude:
@@ -109,10 +117,3 @@ def _read(run: Path, summary: Mapping[str, Any], settle_s: float) -> AutopilotAt
         # A vehicle that fell on its landing has "landed" too.
         outcome if outcome in BAD_ENDS else flight["ended_early"] * (not flight["landed"]),
     )
-
-
-def _without_none(node: Any) -> Any:
-    """A copy of a document without entries that are None."""
-    if isinstance(node, Mapping):
-        return {key: _without_none(value) for key, value in node.items() if value is not None}
-    return [_without_none(item) for item in node] if isinstance(node, (list, tuple)) else node

@@ -19,6 +19,7 @@ from analysis.scoring.attitude_scores import AXES
 from analysis.scoring.attitude_scoring import AttitudeConfig, AttitudeScorer
 from analysis.search.evaluation.autopilot_flight import measure_autopilot_error
 from analysis.search.evaluation.compiled_batch import EvaluationOutcome
+from analysis.search.evaluation.violation import fly_violation
 from analysis.search.lanes.noise_kernel import seed_of
 from analysis.search.space.airframe import has_rotors, read_airframe, trim_values
 from analysis.search.space.dimensions import Space, fault_entries, flight_entries, space_of
@@ -145,6 +146,8 @@ def decode_document(document: Document) -> tuple[Scenario, Schedule]:
 
 def score_flight(test: TestFile, document: Document) -> FlightScores:
     """Fly a scenario until its end or until it leaves the envelope, and score the estimator."""
+    if test.violate is not None:
+        return score_violation(test, document)
     if test.autopilot is not None:
         return score_autopilot_flight(test.autopilot, test, document)
     scenario, schedule = decode_document(document)
@@ -174,6 +177,15 @@ def score_flight(test: TestFile, document: Document) -> FlightScores:
         steps,
         parts,
     )
+
+
+def score_violation(test: TestFile, document: Document) -> FlightScores:
+    """Like `score_flight`, with how far the requirement is violated in the place of errors."""
+    decode_document(document)
+    found, flight = fly_violation(test, document)
+    violated = np.full(4, -found.fitness)
+    parts = {"requirement": msgspec.to_builtins(found), "behaviour": flight.behaviour}
+    return FlightScores(violated, violated, flight.duration_s, 0, 0, parts)
 
 
 def score_autopilot_flight(

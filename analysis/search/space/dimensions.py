@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.search.lanes import rows
+from analysis.search.space.fault_picks import pick_entries
 from analysis.search.space.fault_range import CHANNELS, DROP_CHANNELS
 from analysis.search.space.section import Range
 from analysis.search.space.test_file import TestFile
@@ -74,12 +75,16 @@ def flight_entries(test: TestFile, trim: Mapping[str, float]) -> dict[str, Range
 
 def fault_entries(test: TestFile) -> dict[str, Range]:
     """Magnitude, onset and duration of each fault, and the number that selects its target."""
+    if test.at_once is not None:
+        return pick_entries(test)
     entries: dict[str, Range] = {}
     for i, fault in enumerate(test.faults):
         entries |= {f"faults[{i}].{key}": value for key, value in fault.ranges().items()}
         count = len(fault.targets)
         # The target is searched as a number: equal parts of an interval are the targets.
         entries[f"faults[{i}].target"] = (0.0, float(count)) if count > 1 else 0.0
+        if len(fault.on) > 1:
+            entries[f"faults[{i}].on"] = (0.0, float(len(fault.on)))
     return entries
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from msgspec import field
 
+from analysis.flying.onset import onset_keys
 from analysis.search.space.section import Range, Section
 from mavproxy_fault.numerics.earth import curvature_radii
 
@@ -47,7 +48,8 @@ VALUELESS_FAULTS = ("drop", "freeze")
 class FaultRange(Section, frozen=True):
     """One fault as in a schedule; units are the field's.
 
-    With `any_of` the target is searched too. `also` holds further keys of the fault.
+    With `any_of` the target is searched too, with several onsets `on` (flight events or conditions,
+    "" for seconds) the onset; `at_s` then counts from it. `also` holds further keys of the fault.
     """
 
     fault: str
@@ -56,6 +58,7 @@ class FaultRange(Section, frozen=True):
     value: Range | None = None
     at_s: Range = 0.0
     for_s: Range | None = None
+    on: list[str] = field(default_factory=lambda: [""])
     also: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -63,6 +66,8 @@ class FaultRange(Section, frozen=True):
         # One or the other: both would be ambiguous.
         if (self.target is None) == (not self.any_of):
             raise ValueError("give exactly one of target and any_of")
+        for onset in filter(None, self.on):
+            onset_keys(onset)
 
     @property
     def targets(self) -> list[str]:
@@ -95,3 +100,9 @@ class FaultRange(Section, frozen=True):
                     f"faults.fault {self.fault!r} on {target} is not compiled; known: "
                     f"{', '.join(POSITION_FAULTS)}"
                 )
+
+
+def healthy_value(fault: str) -> float:
+    """The value of a kind of fault that changes nothing."""
+    # A scale of one is no fault; of everything else zero is.
+    return 1.0 if fault == "scale" else 0.0

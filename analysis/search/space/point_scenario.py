@@ -4,10 +4,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from msgspec import to_builtins
 
+from analysis.flying.onset import onset_keys
 from analysis.search.space.airframe import has_rotors
 from analysis.search.space.dimensions import target_of
-from analysis.search.space.fault_range import LATITUDE_DEG
+from analysis.search.space.fault_picks import expand_picks
+from analysis.search.space.fault_range import LATITUDE_DEG, healthy_value
 from analysis.search.space.test_file import AUTOPILOT, TestFile
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.environment.air import SEA_LEVEL_K, SEA_LEVEL_PA
@@ -29,6 +32,7 @@ def document_of(test: TestFile, values: Mapping[str, float], seed: int) -> Docum
     seed : int
         Seed of the simulator's noise.
     """
+    test, values = expand_picks(test, values)
     if test.scenario is None:
         document = _flight(test, values)
     else:
@@ -44,8 +48,10 @@ def document_of(test: TestFile, values: Mapping[str, float], seed: int) -> Docum
         "estimators": [] if test.estimator == AUTOPILOT else [test.estimator],
         "settle_s": test.settle_s,
     }
+    required = {} if test.violate is None else {"requirements": [to_builtins(test.requirement)]}
     return {
         **document,
+        **required,
         "seed": seed,
         "schedule": {**own_schedule, "faults": [*own_schedule["faults"], *faults_of(test, values)]},
         "monitor": monitor,
@@ -55,17 +61,23 @@ def document_of(test: TestFile, values: Mapping[str, float], seed: int) -> Docum
 def faults_of(test: TestFile, values: Mapping[str, float]) -> list[Document]:
     """The drawn faults as schedule entries; those of zero duration are left out."""
     entries = []
+    test, values = expand_picks(test, values)
     for i, fault in enumerate(test.faults):
         name = f"faults[{i}]"
         # A schedule rejects a fault of zero duration; in a search it means no fault.
         if values.get(f"{name}.for_s") == 0.0:
             continue
+        # As reduced to none of it.
+        if test.violate and values.get(f"{name}.value") == healthy_value(fault.fault):
+            continue
         keys = [key for key in ("value", "at_s", "for_s") if f"{name}.{key}" in values]
+        on = fault.on[min(int(values.get(f"{name}.on", 0.0)), len(fault.on) - 1)]
         entries.append(
             {
                 "id": f"drawn-{i}",
                 "fault": fault.fault,
                 "target": target_of(test, i, values[f"{name}.target"]),
+                **(onset_keys(on) if on else {}),
                 **{key: float(values[f"{name}.{key}"]) for key in keys},
                 **fault.also,
             }

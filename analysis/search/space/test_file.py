@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import msgspec
 
+from analysis.scoring.requirements import Requirement, parse_requirements
 from analysis.search.space.airframe import has_rotors
 from analysis.search.space.fault_range import FaultRange
 from analysis.search.space.section import Range, Section
@@ -20,6 +21,7 @@ from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from simvehicle.scenario.scenario_file import read_scenario
 
 AUTOPILOT = "autopilot"
+MOST_AT_ONCE = 3  # faults of a catalogue: more than three are no simple counterexample
 SIMULATOR_ESTIMATORS = (AUTOPILOT, "fusion")  # estimators that need the simulator's frames
 # The number of slots in `rows`.
 SLOTS = 4  # faults at once in the compiled kernels
@@ -149,6 +151,10 @@ class TestFile(Section, frozen=True):
     (None: half their own error). An evaluation is the mean of `noise_draws` flights with different
     noise. `settle_s` at the start of a flight is not scored.
 
+    With `violate`, the search looks for flights that violate this requirement, a formula or a name,
+    and stops at the `first` or at the budget. With `at_once`, `faults` are a catalogue, of which as
+    many act as it says, from least to most.
+
     With `scenario`, `vary` gives the intervals of its keys, and `initial`, `controls`, `mission`,
     `wind` and `sensors` are ignored.
     """
@@ -163,6 +169,9 @@ class TestFile(Section, frozen=True):
     criterion: Literal["euler", "angle", "state", "height", "airspeed", "position"] = "euler"
     state_scales: StateScales = StateScales()
     breaks_at_deg: float | None = None
+    violate: str | None = None
+    first: bool = False
+    at_once: tuple[int, int] | None = None
     duration_s: float = 60.0
     settle_s: float = 0.0
     dt_s: float = 0.01
@@ -200,6 +209,14 @@ class TestFile(Section, frozen=True):
             raise ValueError("autopilot is set without scenario; give scenario too")
         if self.vary and self.scenario is None:
             raise ValueError("vary is set without scenario; give scenario too")
+        if (self.violate or self.at_once) and not self.simulated:
+            raise ValueError("violate and at_once need flights in the simulator; give scenario too")
+        if self.at_once and not 0 <= self.at_once[0] <= self.at_once[1] <= MOST_AT_ONCE:
+            raise ValueError(
+                f"at_once = {list(self.at_once)}; [least, most], {MOST_AT_ONCE} at most"
+            )
+        if self.violate:
+            _ = self.requirement
         for name, (low, high) in self.vary.items():
             if low > high:
                 raise ValueError(f"vary.{name} = {[low, high]} has its ends reversed; [low, high]")
@@ -236,8 +253,24 @@ class TestFile(Section, frozen=True):
             raise ValueError("criterion: airspeed needs a pitot tube; a quadrotor has none")
 
     @property
+    def requirement(self) -> Requirement:
+        """The requirement to violate: the scenario's of that name, of the library, or a formula.
+
+        Raises
+        ------
+        ValueError
+            If it is none of these.
+        """
+        own = self.scenario.get("requirements") if isinstance(self.scenario, dict) else None
+        named = {one.label: one for one in parse_requirements(own)}
+        assert self.violate is not None
+        return named.get(self.violate) or parse_requirements(self.violate)[0]
+
+    @property
     def unit(self) -> str:
         """The criterion's unit; that of twelve states is scaled and has none."""
+        if self.violate is not None:
+            return self.requirement.unit
         units = {"state": "", "height": "m", "airspeed": "m/s", "position": "m"}
         return units.get(self.criterion, "deg")
 

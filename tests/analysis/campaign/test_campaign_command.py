@@ -15,13 +15,14 @@ import pytest
 from analysis.autopilots.flight_process import RUN_FOLDER
 from analysis.campaign.campaign_file import CampaignFile, read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
-from analysis.campaign.cell import Cell, CellResult, CellVerdict, monitor_verdict
+from analysis.campaign.cell import Cell, CellResult
 from analysis.campaign.flying.flight_job import setup_by_name
 from analysis.campaign.results.campaign_page import rerun_command
 from analysis.campaign.results.campaign_report import name_tests
 from analysis.campaign.results.data_set import export_data_set
 from analysis.campaign.results.outcome_grid import severity_key
 from analysis.campaign.results_store import read_campaign_folder
+from analysis.flying.flight_evidence import CellVerdict, monitor_verdict
 from analysis.results import read_results
 from analysis.search.evaluation.simulated_batch import SimulatedBatch
 from analysis.search.space.test_file import read_test

@@ -4,7 +4,8 @@ import msgspec
 
 from analysis.campaign.campaign_file import CampaignFile, SubjectChoice, read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
-from analysis.campaign.cell import CampaignFlight, CellResult
+from analysis.campaign.cell import CellResult
+from analysis.flying.flight_evidence import CampaignFlight
 
 SMALL = read_campaign(Path(__file__).parent / "small.yaml")
 LANES = read_campaign(Path(__file__).resolve().parents[3] / "examples" / "campaign_lanes.yaml")

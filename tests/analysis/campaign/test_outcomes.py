@@ -1,7 +1,8 @@
 import pytest
 
-from analysis.campaign.cell import ATTITUDE, POSITION, Cell, Evidence, EvidenceCurve, FlightMark
+from analysis.campaign.cell import Cell
 from analysis.campaign.outcomes import OutcomeLimits, classify_flight, outcome_rank
+from analysis.flying.flight_evidence import ATTITUDE, POSITION, Evidence, EvidenceCurve, FlightMark
 
 CELL = Cell(subject="s", scenario="x", fault="f", magnitude=1.0, onset=10.0, duration_s=5.0)
 TIMES = [float(t) for t in range(31)]

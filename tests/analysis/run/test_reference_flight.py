@@ -31,7 +31,7 @@ def test_the_reference_flight_shows_the_effect_of_a_gust(tmp_path: Path) -> None
     schedule.write_text(SCHEDULE)
     out = tmp_path / "out"
     args = argparse.Namespace(
-        set=[],
+        set=[], require=[],
         scenario=str(SHORT), schedule=str(schedule), seed=None, speed="max", out=str(out),
         gcs="off", ui=False, estimators=None, zenoh="off", zenoh_config="", against_clean=True,
         report=True,

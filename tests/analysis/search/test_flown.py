@@ -6,6 +6,7 @@ import pytest
 import yaml
 
 from analysis.campaign.campaign_file import read_campaign
+from analysis.flying.onset import onset_keys
 from analysis.run.proxied_flight import ProxiedFlight
 from analysis.run.run_setup import read_setup
 from analysis.scoring.attitude_scoring import AttitudeConfig
@@ -145,7 +146,9 @@ def test_a_worst_case_is_a_test_cell_of_a_campaign(tmp_path):
     setup = read_setup(str(tmp_path / "worst-01.yaml"))
     (entry,) = [parsed for parsed in setup.schedule.faults if parsed.id == "drawn-0"]
     (choice,) = cell.faults
-    again = choice.entry(choice.magnitude_list()[0], cell.onsets[0], cell.durations_s[0])
+    (again,) = choice.entries(
+        choice.magnitude_list()[0], onset_keys(cell.onsets[0]), cell.durations_s[0]
+    )
     assert again.pop("for_s") == setup.scenario.duration_s  # the search's lasts to the end
     assert parse_schedule({"faults": [again]}, "here").faults[0] == entry
     assert cell.seeds == (setup.scenario.seed,)

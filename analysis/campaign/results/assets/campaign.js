@@ -89,7 +89,7 @@ function detail(row, cell) {
   cell.results.forEach((number, i) => {
     const result = model.results[number];
     const line = element("tr", undefined, body);
-    const facts = [numbers(result), result.detected_by, result.note].filter(Boolean).join("; ");
+    const facts = [numbers(result), result.detected_by, result.note, ...result.requirements].filter(Boolean).join("; ");
     element("button", result.outcome, element("td", undefined, line));
     for (const text of [result.scenario, result.onset, result.duration_s, result.seed, facts, monitored(result)]) element("td", text, line);
     line.addEventListener("click", () => { chosen(line, "#detail tr"); curves(number, below); });

@@ -7,17 +7,11 @@ import pytest
 
 from analysis.campaign.campaign_file import read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
-from analysis.campaign.cell import (
-    ATTITUDE,
-    CampaignFlight,
-    Cell,
-    CellResult,
-    Evidence,
-    EvidenceCurve,
-)
+from analysis.campaign.cell import Cell, CellResult
 from analysis.campaign.results.campaign_report import write_page, write_report
 from analysis.campaign.results.live_heat_map import RELOAD_S, LiveHeatMap
 from analysis.campaign.results_store import ResultsStore
+from analysis.flying.flight_evidence import ATTITUDE, CampaignFlight, Evidence, EvidenceCurve
 
 SMALL = Path(__file__).parents[1] / "small.yaml"
 

@@ -9,9 +9,9 @@ import pytest
 
 from analysis.autopilots import flight_process
 from analysis.autopilots.flight_process import MAX_TRIES
-from analysis.campaign.cell import CellVerdict, Evidence
-from analysis.campaign.flying import autopilot_cell
-from analysis.campaign.flying.autopilot_cell import run_autopilot_cell
+from analysis.flying import autopilot_cell
+from analysis.flying.autopilot_cell import run_autopilot_cell
+from analysis.flying.flight_evidence import CellVerdict, Evidence
 from analysis.scoring.criteria import FailsafeCriterion, VehicleCriteria
 from analysis.scoring.vehicle_outcome import VehicleEvent, VehicleOutcome
 from mavproxy_fault.documents.errors import ConfigError

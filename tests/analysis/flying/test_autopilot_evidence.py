@@ -1,13 +1,14 @@
 import numpy as np
 import pytest
 
-from analysis.campaign.cell import ATTITUDE, PATH, Cell, Evidence, EvidenceCurve, FlightMark
-from analysis.campaign.flying.autopilot_evidence import (
+from analysis.campaign.cell import Cell
+from analysis.campaign.outcomes import OutcomeLimits, classify_flight
+from analysis.flying.autopilot_evidence import (
     belongs_to_flight,
     text_marks,
     vehicle_marks,
 )
-from analysis.campaign.outcomes import OutcomeLimits, classify_flight
+from analysis.flying.flight_evidence import ATTITUDE, PATH, Evidence, EvidenceCurve, FlightMark
 from mavproxy_fault.wire.tlog import row_dtype
 
 T_US = np.arange(0, 20_000_000, 100_000)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.campaign.cell import ATTITUDE, PATH, Evidence, EvidenceCurve, FlightMark
+from analysis.flying.flight_evidence import ATTITUDE, PATH, Evidence, EvidenceCurve, FlightMark
 from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.judging.vehicle_record import vehicle_outcome
 from analysis.report.recordings.from_tlog import recording_of_tlog

@@ -4,6 +4,7 @@ The simulator's controller uses the truth, so the flight does not depend on the 
 subjects share it.
 """
 
+import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.campaign.cell import (
+from analysis.flying.flight_evidence import (
     ATTITUDE,
     MONITOR,
     POSITION,
@@ -21,18 +22,22 @@ from analysis.campaign.cell import (
     FlightMark,
     monitor_verdict,
 )
-from analysis.campaign.flying.flight_phases import PhaseTracker
+from analysis.flying.flight_phases import PhaseTracker
 from analysis.monitor.monitor import Monitor
-from analysis.monitor.pipeline import MonitorConfig
+from analysis.report.curves.derived_curves import add_derived_curves
+from analysis.report.judging.flight_signals import judge_requirements
+from analysis.report.recordings.from_tlog import recording_of_tlog
+from analysis.report.run_folder import ResultFile
 from analysis.results import AttitudeError, Decision, Result, SensorDecision
 from analysis.run.proxied_flight import ProxiedFlight
 from analysis.run.reference_flight import BATCH_BYTES
+from analysis.run.run_setup import RunSetup
 from analysis.scoring.criteria import Criteria
-from mavproxy_fault.app.recorder import Recorder
+from analysis.scoring.requirements import RequirementResult
+from mavproxy_fault.app.recorder import SENT, Recorder
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
-from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.wire.label import Label
-from simvehicle.scenario.scenario_file import Scenario
+from mavproxy_fault.wire.tlog import read_columns
 
 TRACK_US = 100_000
 WIDEST_DEG = 180.0
@@ -40,15 +45,11 @@ Vector = NDArray[np.float64]
 
 
 def run_simulated_flight(
-    scenario: Scenario,
-    schedule: Schedule,
-    config: MonitorConfig,
-    subjects: Sequence[str],
-    keep: Path | None = None,
+    setup: RunSetup, subjects: Sequence[str], keep: Path | None = None
 ) -> CampaignFlight:
     """Fly a scenario and collect the evidence by subject; `keep` is the folder for the logs."""
     started_s = time.monotonic()
-    flight, monitor = ProxiedFlight(scenario, schedule), Monitor(config)
+    flight, monitor = ProxiedFlight(setup.scenario, setup.schedule), Monitor(setup.monitor)
     phases, results = PhaseTracker(), list[Result]()
     track: list[tuple[float, ...]] = []
     next_us, batch = 0, bytearray()
@@ -75,19 +76,44 @@ def run_simulated_flight(
         for name in subjects
     }
     labels = flight.drain_labels()
-    if keep is not None:
-        write_logs(flight, labels, keep)
-    summary = monitor.summary(flight.completed_labels(), Criteria(), 0.0)
-    wall_s = time.monotonic() - started_s
-    verdict = monitor_verdict(summary["faults"])
-    return CampaignFlight(evidence, phases.begin_s, scenario.duration_s, wall_s, verdict=verdict)
+    with tempfile.TemporaryDirectory(prefix="campaign-") as scratch:
+        folder = Path(scratch) if keep is None else keep
+        if keep is not None or setup.requirements:
+            write_logs(flight, labels, results, folder)
+        completed = flight.completed_labels()
+        judged = {name: judge_flight(setup, folder, completed, results, name) for name in subjects}
+    summary = monitor.summary(completed, Criteria(), 0.0)
+    begun_us = min((label.start_us for label in completed), default=None)
+    return CampaignFlight(
+        evidence, phases.begin_s, setup.scenario.duration_s, time.monotonic() - started_s,
+        verdict=monitor_verdict(summary["faults"]), requirements=judged,
+        fault_s=None if begun_us is None else round((begun_us - t0_us) * 1e-6, 3),
+    )  # fmt: skip
 
 
-def write_logs(flight: ProxiedFlight, labels: Sequence[Label], folder: Path) -> None:
-    """Write the flight's tlogs and labels, as `run` does."""
+def judge_flight(
+    setup: RunSetup, folder: Path, labels: Sequence[Label], results: Sequence[Result], subject: str
+) -> list[RequirementResult]:
+    """Judge the requirements by the logs of a flight, with the errors of a subject."""
+    if not setup.requirements:
+        return []
+    t0_us = labels[0].t0_us if labels else None
+    columns = read_columns(folder / SENT)
+    recording = add_derived_curves(recording_of_tlog(columns, t0_us=t0_us))
+    return judge_requirements(
+        setup.requirements, recording, labels, results, setup.scenario.start.alt_m, subject
+    )
+
+
+def write_logs(
+    flight: ProxiedFlight, labels: Sequence[Label], results: Sequence[Result], folder: Path
+) -> None:
+    """Write the flight's tlogs, labels and results, as `run` does."""
     links = [{"name": role.name, "direction": role.direction} for role in flight.core.links]
     recorder = Recorder(folder, {"schedule": flight.engine.save(), "links": links})
     recorder.write(flight.capture, labels)
+    with ResultFile(folder) as file:
+        file.write(results)
     recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 

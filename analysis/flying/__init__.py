@@ -1,0 +1,1 @@
+"""Fly one flight with faults, in the simulator or with an autopilot, and collect its evidence."""
