@@ -31,7 +31,7 @@ from analysis.results import Decision, FusedState
 from analysis.samples.block import EPOCH, split_at_events
 from analysis.scoring.integrity import ALERT_LIMITS_M, ERROR, LEVEL, Integrity
 from analysis.scoring.position_scores import PositionScores
-from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.app.replaying.rinex_faults import faulted_lines
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.rinex.rinex_text import read_rinex_text
 from mavproxy_fault.schedule.entries import parse_schedule

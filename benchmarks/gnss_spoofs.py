@@ -20,7 +20,7 @@ from analysis.recordings.read_recordings import read_rinex
 from analysis.results import Decision, SensorDecision
 from analysis.samples.block import split_at_events
 from analysis.scoring.integrity import Integrity
-from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.app.replaying.rinex_faults import faulted_lines
 from mavproxy_fault.schedule.entries import parse_schedule
 
 AT_S, FOR_S = 100.0, 120.0

@@ -38,7 +38,7 @@ from analysis.scoring.requirements import Requirement, read_requirements
 from analysis.work_progress import WorkProgress
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.recorder import encode_lines
-from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.app.replaying.rinex_faults import faulted_lines
 from mavproxy_fault.documents.atomic_file import write_private
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_run_bus

@@ -101,7 +101,7 @@ def add_replay(commands: Any) -> None:
     where.add_argument("--link", metavar="EP", help=f"send in real time: {ENDPOINT}")
     _add_signing(parser)
     add_json(parser)
-    parser.set_defaults(main=main_of("mavproxy_fault.app.replay"))
+    parser.set_defaults(main=main_of("mavproxy_fault.app.replaying.replay"))
 
 
 def add_inject(commands: Any) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.app.playback import split_records
+from mavproxy_fault.app.replaying.playback import split_records
 from mavproxy_fault.links.link import enlarge_buffers
 from tests.hardening.proxy_process import driven, numbered
 

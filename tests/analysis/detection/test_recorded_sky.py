@@ -7,7 +7,7 @@ from analysis.detection.recorded_sky import locate_receiver
 from analysis.detection.sky_geometry import orbits_of
 from analysis.recordings.read_recordings import read_rinex
 from analysis.samples.sample import Epoch
-from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.app.replaying.rinex_faults import faulted_lines
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.schedule.entries import parse_schedule
 

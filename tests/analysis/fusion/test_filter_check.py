@@ -18,7 +18,7 @@ from analysis.fusion.smoother import Fusion
 from analysis.recordings.read_recordings import read_rinex, read_rinex_samples
 from analysis.results import Decision, FusedState
 from analysis.samples.sample import Epoch, TruthSample
-from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.app.replaying.rinex_faults import faulted_lines
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.schedule.entries import parse_schedule

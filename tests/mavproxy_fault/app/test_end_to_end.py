@@ -9,7 +9,7 @@ import yaml
 from pymavlink import mavutil
 
 from mavproxy_fault.app.preview import encode_test_epoch, healthy_frame
-from mavproxy_fault.app.replay import main
+from mavproxy_fault.app.replaying.replay import main
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.faults.satellite import SatelliteFault
 from mavproxy_fault.proxy.announcements import COMPONENT

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.app.playback import split_records
 from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.app.replaying.playback import split_records
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.live.edit_log import Edit, read_edits
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer

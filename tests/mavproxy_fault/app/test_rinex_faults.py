@@ -2,7 +2,7 @@
 
 import pytest
 
-from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.app.replaying.rinex_faults import faulted_lines
 from mavproxy_fault.cli import main
 from mavproxy_fault.rinex.rinex_text import read_rinex_text
 from mavproxy_fault.schedule.entries import parse_schedule

@@ -15,8 +15,8 @@ import pytest
 from mavproxy_fault.app import commands
 from mavproxy_fault.app import proxy_command as proxy
 from mavproxy_fault.app import server as server_module
-from mavproxy_fault.app.playback import split_records
 from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.app.replaying.playback import split_records
 from mavproxy_fault.compiled import object_file as machine
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links import datagram_batch

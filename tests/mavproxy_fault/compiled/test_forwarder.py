@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from mavproxy_fault.app.playback import split_records
 from mavproxy_fault.app.proxy_command import link_roles
+from mavproxy_fault.app.replaying.playback import split_records
 from mavproxy_fault.app.server import Server
 from mavproxy_fault.compiled.object_file import load, make
 from mavproxy_fault.links.link import enlarge_buffers

@@ -2,7 +2,7 @@
 
 import pytest
 
-from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.app.replaying.rinex_faults import faulted_lines
 from mavproxy_fault.rinex.navigation_record import kepler_ephemeris, read_navigation_file
 from mavproxy_fault.rinex.observation_text import file_epochs
 from mavproxy_fault.rinex.signal_fields import number_in

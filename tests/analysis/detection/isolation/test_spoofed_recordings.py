@@ -12,7 +12,7 @@ from analysis.detection import Detector
 from analysis.detection.isolation.all_satellites import accumulated_jump_m
 from analysis.recordings.read_recordings import read_rinex
 from analysis.results import Decision
-from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.app.replaying.rinex_faults import faulted_lines
 from mavproxy_fault.rinex.rinex_text import read_rinex_text
 from mavproxy_fault.schedule.entries import parse_schedule
 

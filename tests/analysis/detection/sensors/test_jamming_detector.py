@@ -11,7 +11,7 @@ from analysis.recordings.read_recordings import read_rinex
 from analysis.results import SensorDecision
 from analysis.samples.block import Block, block_of
 from analysis.samples.sample import Epoch
-from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.app.replaying.rinex_faults import faulted_lines
 from mavproxy_fault.schedule.entries import parse_schedule
 
 SATELLITES = tuple(f"G{n:02d}" for n in range(1, 9))

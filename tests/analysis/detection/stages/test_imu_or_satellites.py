@@ -13,7 +13,7 @@ from analysis.detection.isolation.all_satellites import FOLLOWED_REASON
 from analysis.recordings.read_recordings import read_rinex, read_rinex_samples
 from analysis.results import Decision, SensorDecision
 from analysis.samples.sample import ImuSample, Sample, TruthSample
-from mavproxy_fault.app.rinex_faults import faulted_lines
+from mavproxy_fault.app.replaying.rinex_faults import faulted_lines
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.schedule.entries import parse_schedule
 

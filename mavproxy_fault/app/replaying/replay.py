@@ -14,10 +14,10 @@ from pathlib import Path
 import msgspec
 
 from mavproxy_fault.app.command_result import print_result
-from mavproxy_fault.app.playback import LogRecord, LogSource, open_log
 from mavproxy_fault.app.proxy_command import read_signing
 from mavproxy_fault.app.recorder import encode_lines
-from mavproxy_fault.app.rinex_faults import is_rinex, replay_rinex
+from mavproxy_fault.app.replaying.playback import LogRecord, LogSource, open_log
+from mavproxy_fault.app.replaying.rinex_faults import is_rinex, replay_rinex
 from mavproxy_fault.documents.atomic_file import replace_file, write_all
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.faults.plant_fault import SimulatorFault
