@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import gc
 import logging
+import os
 import signal
 import socket
 from collections.abc import Iterator, Sequence
@@ -121,6 +122,8 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
     """Open live control over Zenoh and RflySim's port; imports numpy and all faults."""
     check_resources()
     # Imported here, in the background thread.
+    # Without the threads of its linear algebra, which a proxy does not need.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     import numpy.random  # noqa: F401  or the first draw of a live fault would delay a frame
 
     import mavproxy_fault.compiled.plans  # noqa: F401  or a later frame would wait for it
