@@ -3,6 +3,7 @@
 import argparse
 import gc
 from collections.abc import Callable
+from functools import partial
 from importlib import import_module
 from typing import Any
 
@@ -16,12 +17,12 @@ ENDPOINT = "connection string, e.g. udpin:127.0.0.1:14550, tcpin:127.0.0.1:4560,
 
 def main_of(module: str) -> Main:
     """Return the `main` of a command's module, which is imported when the command runs."""
+    return partial(_run_main, module)  # other processes can receive it, unlike a closure
 
-    def main(args: argparse.Namespace) -> int:
-        run: Main = import_module(module).main
-        return run(args)
 
-    return main
+def _run_main(module: str, args: argparse.Namespace) -> int:
+    run: Main = import_module(module).main
+    return run(args)
 
 
 def add_proxy(commands: Any) -> None:

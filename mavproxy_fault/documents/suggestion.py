@@ -4,6 +4,7 @@ import difflib
 from collections.abc import Iterable
 
 LONGEST = 100  # characters compared: millions would take seconds
+LEAST_LIKE = 0.52  # chosen: altitude suggests alt (0.55), but help not schedule (0.5)
 
 
 def suggest_known(name: str, known: Iterable[str]) -> str:
@@ -13,8 +14,8 @@ def suggest_known(name: str, known: Iterable[str]) -> str:
         return "none exist"
     name = name[:LONGEST]
     # Message names are in capitals, so a second search uses capitals.
-    close = difflib.get_close_matches(name, names, 3) or difflib.get_close_matches(
-        name.upper(), names, 3
+    close = difflib.get_close_matches(name, names, 3, LEAST_LIKE) or difflib.get_close_matches(
+        name.upper(), names, 3, LEAST_LIKE
     )
     if close:
         return f"did you mean {' or '.join(close)}?"
