@@ -35,8 +35,8 @@ def test_a_run_gives_labels_results_and_columns_as_arrays(tmp_path: Path) -> Non
     assert len(run.frame("HIL_SENSOR", received=True)) == len(received)
     assert list(run.frame("AttitudeError")["estimator"].unique()) == ["ekf"]
     # An array field is a list in each row.
-    controls = next(iter(run.frame("HIL_ACTUATOR_CONTROLS")["controls"]))
-    assert len(controls) == 16
+    attitude = next(iter(run.frame("HIL_STATE_QUATERNION")["attitude_quaternion"]))
+    assert len(attitude) == 4
     lines = run.plot("HIL_SENSOR.xgyro", "HIL_SENSOR.zacc").axes[0].lines
     assert lines[0].get_ydata().max() > lines[1].get_ydata().max() + 0.2
     assert f">{run.summary['faults'][0]['verdict']}</td>" in run._repr_html_()
