@@ -29,7 +29,7 @@ from mavproxy_fault.links.datagram_batch import HAS_RECVMMSG
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.interfaces import LinkRole, Send
+from mavproxy_fault.proxy.interfaces import LinkRole
 from mavproxy_fault.proxy.senders import new_senders
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.wire.dialect import message_layout

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from mavproxy_fault.app.replaying import replay
 from mavproxy_fault.app.proxy_command import link_roles
 from mavproxy_fault.app.recorder import Recorder
+from mavproxy_fault.app.replaying import replay
 from mavproxy_fault.app.replaying.playback import open_log, split_records
 from mavproxy_fault.app.server import Server
 from mavproxy_fault.documents.errors import ConfigError
