@@ -101,6 +101,7 @@ class CompiledCore:
         plans = self._plans
         if seen != self._seen or (self._core_ran and plans is not None and plans.changed):
             if plans is not None:
+                plans.settle(engine)  # what was counted for the rows that go
                 plans.clear()
             for number in self._learned:
                 self._classify(number)

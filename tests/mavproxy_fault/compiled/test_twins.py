@@ -338,3 +338,28 @@ def test_what_is_left_of_a_batch_after_a_count_is_counted_too() -> None:
     assert core.states[0].frames == 3
     for link in links:
         link.close()
+
+
+def test_a_live_edit_loses_no_count_of_the_faults_already_acting() -> None:
+    """What machine code counted in stretches without events was lost with the rows it rebuilt."""
+    first, later = (
+        {"id": f"f{n}", "fault": "bias", "target": "ATTITUDE.roll", "value": n + 1}
+        for n in range(2)
+    )
+    cores = [Core(ROLES, Engine(parse_schedule(json.dumps({"faults": [first]})))) for _ in range(2)]
+    machine = CompiledCore(cores[0], 0, None)
+    for n in range(60):
+        values = {"time_boot_ms": STEP_MS * n + STEP_MS}
+        frame = build_frame(message_layout("ATTITUDE"), values, seq=n)
+        now_us = STEP_MS * 1000 * n
+        if n == 40:
+            for core in cores:
+                assert core.engine is not None
+                core.engine.arm(later)
+        assert machine.received(0, frame, now_us) == cores[1].received(0, frame, now_us)
+    machine.count()
+    for core in cores:
+        core.finish(1_000_000)
+    labels = [core.drain_labels() for core in cores]
+    assert labels[0] == labels[1]
+    assert [label.frames for label in labels[0] if label.end_us is not None] == [60, 20]
