@@ -57,7 +57,7 @@ def _shift(recording: FlightData, compared: FlightData) -> tuple[float, str]:
 def comparison_tables(
     outcome: FlightAssessment, others: Sequence[FlightAssessment]
 ) -> list[tuple[str, ReportTable]]:
-    """CompiledCore of the verdicts of every check and of the parameters that differ."""
+    """Tables of the verdicts of every check and of the parameters that differ."""
     every = [outcome, *others]
     names = [one.flight.recording.name for one in every]
     tables = [(CHECKS, _checks(every, names))]

@@ -1,4 +1,4 @@
-"""CompiledCore and facts of a report page."""
+"""Tables and facts of a report page."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -155,7 +155,9 @@ def _shown(value: object) -> str:
     """Format a value of a result: a time with hundredths, a list as words."""
     if isinstance(value, float):
         return f"{value:.2f}"
-    return "" if value is None else ", ".join(value) if isinstance(value, list) else str(value)
+    return (
+        "" if value is None else ", ".join(value) if isinstance(value, list | tuple) else str(value)
+    )
 
 
 def matrix_table(labels: Sequence[Label], results: Sequence[Result]) -> ReportTable | None:
