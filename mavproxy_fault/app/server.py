@@ -18,7 +18,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
-from mavproxy_fault.compiled.layout import HANDED_OVER
+from mavproxy_fault.compiled.layout import AHEAD_US, HANDED_OVER
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links import datagram_batch
 from mavproxy_fault.links.link import Link
@@ -37,7 +37,6 @@ LOG = logging.getLogger(__name__)
 RECONNECT_S = 0.1  # interval between attempts to reconnect links
 FLUSH_S = 1.0
 RESERVE_BYTES = 8 << 20  # bytes released when the system is out of memory
-AHEAD_US = 300  # a frame due within this time is handled before anything else
 EARLY_US = 250  # a sleep may end this late, so it is shortened by it
 BATCH_NS = 200_000  # chunks for links with many peers are collected for this long
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us delays every wait

@@ -182,21 +182,18 @@ class Forwarder(CompiledCore):
 
     def count(self) -> None:
         """Add the machine code's counts to the links', the core's and the latencies."""
-        self._settle((self.loop[k.BASE] + self.loop[k.CAME]) // 1000)
+        super().count()
         ports, heard = self.ports, self._arrays["heard"]
         for number, link in enumerate(self._links):
             if not any(ports[number, column] for column in range(k.DATAGRAMS, k.LONE)):
                 continue
-            counters, state = link.counters, self._core.states[number]
+            counters = link.counters
             counters.chunks_in += ports[number, k.DATAGRAMS]
             counters.bytes_in += ports[number, k.BYTES]
             counters.chunks_out += ports[number, k.SENT]
             counters.bytes_out += ports[number, k.BYTES_SENT]
             counters.drops += ports[number, k.DROPS]
             counters.errors += ports[number, k.ERRORS]
-            state.frames += ports[number, k.FRAMES]
-            state.gaps += ports[number, k.MISSING]
-            state.faulted += ports[number, k.FAULTED]
             for column in range(k.DATAGRAMS, k.LONE):
                 ports[number, column] = 0
             start = number * k.LATENCY_STEPS

@@ -80,7 +80,7 @@ MASK = 38  # the links that a lent chunk leaves on, or one of the next
 LOOP_SIZE = 39
 UNTOUCHED, BEGUN = -1, -2
 # Why it returns
-TIME_IS_UP, HANDED_OVER, OTHER_READY, LOG_FULL, DUE_SENT, LENT_PASSED, TO_SETTLE = range(7)
+TIME_IS_UP, HANDED_OVER, OTHER_READY, DUE_SENT, LENT_PASSED, TO_SETTLE = range(6)
 # What became of a datagram: all of it passed, its next frame or its rest is handed over, a label
 # has begun, no room for output
 DONE, FRAME, REST, NEWS, FULL = range(5)
@@ -90,7 +90,6 @@ AHEAD_US = 300  # a frame due within this time is handled before anything else
 HELD_HEAD = 24  # bytes of due time, links and length before a delayed frame
 LONGEST = 65_000  # bytes of an outgoing datagram
 LOG_SIZE = 1 << 24
-LOG_MARGIN = 1 << 23  # more than a batch of the smallest frames in the largest datagrams
 LATENCY_STEPS = 64 * 8
 
 Integers = Any  # int64, as a memoryview on one side and a numpy array on the other

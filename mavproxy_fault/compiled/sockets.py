@@ -272,8 +272,6 @@ def _forward(shared: Shared) -> int:
         shared.heads[loop[k.LINK_COUNT], 0, k.LENGTH] = lent
         loop[k.LENT], loop[k.AT], loop[k.COUNT], loop[k.ROW_AT] = 0, 0, 1, 0
     while True:
-        if loop[k.KEEP] and max(loop[k.RECEIVED_AT], loop[k.SENT_AT]) > k.LOG_SIZE - k.LOG_MARGIN:
-            return k.LOG_FULL
         remaining_ns = loop[k.DEADLINE] - _now_ns(loop)
         if remaining_ns <= 0 and not lent:
             return k.TIME_IS_UP

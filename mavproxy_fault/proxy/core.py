@@ -158,11 +158,6 @@ class Core:
         arrival = Arrival(link, direction or role.direction, now_us)
         return sends + self._process(items, arrival)
 
-    def received_frame(self, link: int, frame: Frame, now_us: int) -> list[Send]:
-        """Process an already verified frame and return what to send."""
-        arrival = Arrival(link, self.links[link].direction, now_us)
-        return self.due(now_us) + self._process((frame,), arrival)
-
     def due(self, now_us: int) -> list[Send]:
         """Return what is due by `now_us`, in order, and then abandoned incomplete frames."""
         sends = self.release_due(now_us)

@@ -5,14 +5,17 @@ arrays of three numbers.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import TypeVar
 
 import numpy as np
 
+from analysis.results import SensorDecision
 from analysis.samples.block import FIX, IMU, IMU_ID, MAG, Block
 
 Axis = tuple[float, float, float]
 ZERO: Axis = (0.0, 0.0, 0.0)
+State = TypeVar("State")
 
 
 def compass_samples(block: Block) -> Iterator[tuple[int, int, int, tuple[float, ...]]]:
@@ -22,6 +25,22 @@ def compass_samples(block: Block) -> Iterator[tuple[int, int, int, tuple[float, 
     columns = rows.tolist(), block.kind[rows].tolist(), block.t_us[rows].tolist()
     values = zip(*block.values[rows, : IMU_ID + 1].T.tolist(), strict=True)
     return zip(*columns, values, strict=True)
+
+
+def field_alarms(
+    block: Block,
+    state: State,
+    add_gyro: Callable[[int, Axis, State], None],
+    add_field: Callable[[int, Axis, State], SensorDecision | None],
+) -> list[tuple[int, SensorDecision]]:
+    """Give a detector the samples of gyro and compass in turn, and return its alarms by row."""
+    found = []
+    for row, kind, t_us, (x, y, z, *_) in compass_samples(block):
+        if kind == IMU:
+            add_gyro(t_us, (x, y, z), state)
+        elif kind == MAG and (alarm := add_field(t_us, (x, y, z), state)):
+            found.append((row, alarm))
+    return found
 
 
 def add(a: Axis, b: Axis, share: float = 1.0) -> Axis:

@@ -16,7 +16,7 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from analysis.detection.compass.compass_samples import ZERO, Axis, add, compass_samples, cross, dot
+from analysis.detection.compass.compass_samples import ZERO, Axis, add, cross, dot, field_alarms
 from analysis.detection.compass.turn_detector import (
     JUMP_RAD,
     JUMP_SHARE,
@@ -26,7 +26,7 @@ from analysis.detection.compass.turn_detector import (
 )
 from analysis.detection.detector_registry import BlockDetector
 from analysis.results import SensorDecision, pattern_alarm
-from analysis.samples.block import IMU, MAG, NEVER_US, Block
+from analysis.samples.block import NEVER_US, Block
 
 BIN_US, BIN_COUNT = 1_000_000, 5
 GAP_US = 1_000_000  # between two different fields
@@ -90,13 +90,7 @@ class MeanTurnDetector(BlockDetector, frozen=True):
         self, block: Block, state: MeanTurnState
     ) -> tuple[list[tuple[int, SensorDecision]], MeanTurnState]:
         """The alarms of the next samples by row, and the state, which is changed in place."""
-        found = []
-        for row, kind, t_us, (x, y, z, *_) in compass_samples(block):
-            if kind == IMU:
-                _add_gyro(t_us, (x, y, z), state)
-            elif kind == MAG and (alarm := _add_field(t_us, (x, y, z), state)):
-                found.append((row, alarm))
-        return found, state
+        return field_alarms(block, state, _add_gyro, _add_field), state
 
 
 def _add_gyro(t_us: int, rates: Axis, state: MeanTurnState) -> None:

@@ -21,12 +21,12 @@ from analysis.detection.compass.compass_samples import (
     Axis,
     add,
     angle_of,
-    compass_samples,
     dot,
+    field_alarms,
 )
 from analysis.detection.detector_registry import BlockDetector
 from analysis.results import SensorDecision, pattern_alarm
-from analysis.samples.block import IMU, MAG, NEVER_US, Block
+from analysis.samples.block import NEVER_US, Block
 from mavproxy_fault.numerics.rotations.one_rotation import rotate_quaternion, rotate_to_body
 
 BIN_US, BIN_COUNT = 500_000, 8
@@ -94,13 +94,7 @@ class TurnDetector(BlockDetector, frozen=True):
         self, block: Block, state: TurnState
     ) -> tuple[list[tuple[int, SensorDecision]], TurnState]:
         """The alarms of the next samples by row, and the state, which is changed in place."""
-        found = []
-        for row, kind, t_us, (x, y, z, *_) in compass_samples(block):
-            if kind == IMU:
-                _add_gyro(t_us, (x, y, z), state)
-            elif kind == MAG and (alarm := _add_field(t_us, (x, y, z), state)):
-                found.append((row, alarm))
-        return found, state
+        return field_alarms(block, state, _add_gyro, _add_field), state
 
 
 def turn_alarm(

@@ -295,7 +295,7 @@ def test_a_command_of_the_schedule_leaves_for_the_autopilot_with_the_next_step(f
     )
     returned: list[Frame] = []
     flight = exchange.flight
-    for send in flight.core.received_frame(VEHICLE, heartbeat, flight.now_us):
+    for send in flight.core.received(VEHICLE, heartbeat.raw, flight.now_us):
         exchange.route_send(send, returned, heartbeat)
     commands = [
         (frame.number("command"), frame.number("param1"))
