@@ -17,7 +17,6 @@ from fastcrc.crc16 import mcrf4xx
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import SIGNATURE_LENGTH, SIGNED, STX_V2, Frame
 
-KEY_LENGTH = 32
 DIGEST_LENGTH = 6
 CRC_LENGTH = 2
 SETUP_SIGNING = message_layout("SETUP_SIGNING").id
