@@ -3,7 +3,6 @@
 python benchmarks/search.py speed
 python benchmarks/search.py workers
 python benchmarks/search.py start
-python benchmarks/search.py loop
 python benchmarks/search.py quality [SEEDS [ESTIMATOR ...]]
 python benchmarks/search.py harder [SEEDS]
 """
@@ -165,39 +164,20 @@ def speed():
 
 def workers():
     """Tests of 60 s a minute of wall time on two processes, noise drawn for each flight."""
-    from analysis.search.evaluation.pool import LocalProcessPool
+    from analysis.search.evaluation.evaluation_job import evaluate_with
     from analysis.search.space.test_file import TestFile
+    from analysis.worker_pool import LocalWorkerPool
 
     test = msgspec.convert({**STEADY, "noise_draws": 1}, TestFile)
     points = np.random.default_rng(1).random((4096, 4))
-    pool = LocalProcessPool(2)
-    pool.evaluate(test, points[:64], 1, 0, 1)
+    pool = LocalWorkerPool(2)
+    evaluate_with(pool, test, points[:64], 1, 0, 1)
     for _ in range(3):
         started = time.perf_counter()
-        pool.evaluate(test, points, 1, 0, 1)
+        evaluate_with(pool, test, points, 1, 0, 1)
         seconds = time.perf_counter() - started
         print(f"{len(points) / seconds * 60:.0f} tests a minute on two processes")
     pool.close()
-
-
-def loop():
-    """Seconds of flight per second of wall time with a stand-in for an autopilot on the link."""
-    from analysis.search.evaluation.simulated_batch import SimulatedBatch
-    from analysis.search.space.test_file import AutopilotChoice, TestFile
-
-    stand_in = HERE.parent / "tests/analysis/search/stand_in.py"
-    link = "tcpin:127.0.0.1:0"
-    command = [sys.executable, str(stand_in), "{port}"]
-    choice = AutopilotChoice(link=link, command=command)
-    for estimator, autopilot in (("autopilot", choice), ("fusion", None)):
-        test = TestFile(estimator=estimator, autopilot=autopilot, duration_s=60.0, noise_draws=1)
-        flown = SimulatedBatch(test)
-        point = np.zeros((1, flown.space.dimension))
-        flown.evaluate(point, 1, 0)
-        started = time.perf_counter()
-        flown.evaluate(point, 1, 0)
-        speed = test.duration_s / (time.perf_counter() - started)
-        print(f"{estimator}: {speed:.1f} times real time, starting the autopilot included")
 
 
 def start():
@@ -268,4 +248,4 @@ if __name__ == "__main__":
         else:
             quality(seeds, sys.argv[3:] or ["inverse-model", "mahony"])
     else:
-        {"speed": speed, "start": start, "workers": workers, "loop": loop}[what]()
+        {"speed": speed, "start": start, "workers": workers}[what]()

@@ -15,8 +15,8 @@ from analysis.campaign.results.campaign_report import write_report
 from analysis.campaign.results.live_heat_map import LiveHeatMap
 from analysis.campaign.results.outcome_table import print_outcomes
 from analysis.campaign.results_store import ResultsStore
-from analysis.campaign.worker_pool import open_worker_pool
 from analysis.work_progress import WorkProgress
+from analysis.worker_pool import open_worker_pool
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 

@@ -10,7 +10,7 @@ import numpy as np
 from analysis.search.evaluation.compiled_batch import Batch, ned_velocity
 from analysis.search.shrink import pin_values
 from analysis.search.space.point_scenario import document_of, faults_of
-from analysis.search.space.test_file import AUTOPILOT, TestFile
+from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.yaml_document import without_none, write_yaml
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
 
@@ -63,7 +63,7 @@ def write_cases(folder: Path, test: TestFile, cases: Sequence[WorstCase]) -> lis
             name = f"worst-{rank:02}{suffix}"
             scenario = {**document_of(test, values, case.run_seed), "name": name}
             texts = {
-                f"{name}.yaml": scenario_yaml(test, scenario),
+                f"{name}.yaml": write_yaml(without_none(scenario)),
                 f"{name}-test.yaml": yaml_of_test(pin_values(test, values)),
             }
             faults = faults_of(test, values)
@@ -81,33 +81,19 @@ def campaign_document(
     test: TestFile, name: str, fault: dict[str, Any], seed: int
 ) -> dict[str, Any]:
     """A campaign file with the case as its only test cell; the scenario file is beside it."""
-    subject: str | dict[str, Any] = test.estimator
-    if test.autopilot is not None:
-        kind = test.autopilot.kind
-        choice = {"binary": test.autopilot.binary or kind, "parameters": test.autopilot.parameters}
-        subject = without_none({"name": kind, "autopilot": kind, **choice})
     known = ("id", "fault", "target", "value", "at_s", "for_s")
     entry = {key: fault[key] for key in ("id", "fault", "target")}
     if "value" in fault:
         entry["magnitudes"] = [fault["value"]]
     return {
         "name": name,
-        "subjects": [subject],
+        "subjects": [test.estimator],
         "scenarios": [f"{name}.yaml"],
         "onsets": [fault["at_s"]],
         "durations_s": [fault.get("for_s", test.duration_s)],
         "seeds": [seed],
         "faults": [{**entry, "also": {k: v for k, v in fault.items() if k not in known}}],
     }
-
-
-def scenario_yaml(test: TestFile, scenario: Mapping[str, Any]) -> str:
-    """A scenario file; keys without value (None) are left out."""
-    text = write_yaml(without_none(scenario))
-    # An autopilot is an external program: a scenario alone cannot start it.
-    if test.estimator == AUTOPILOT:
-        return "# Fly by `run --autopilot`, or by `search` with the test file beside it.\n" + text
-    return text
 
 
 def yaml_of_test(test: TestFile) -> str:

@@ -22,15 +22,16 @@ from analysis.search.cases import (
 )
 from analysis.search.counterexample import Counterexample, reduce_case
 from analysis.search.evaluation.compiled_batch import EvaluationOutcome
+from analysis.search.evaluation.evaluation_job import evaluate_with
 from analysis.search.evaluation.evaluator import make_evaluator
-from analysis.search.evaluation.pool import Pool, pool_of
 from analysis.search.history import RECORD, History
 from analysis.search.lanes import rows
 from analysis.search.lanes.noise_kernel import seed_of
 from analysis.search.searchers import make_searcher
-from analysis.search.shrink import MeanErrors, shrink_faults
+from analysis.search.shrink import Values, drop_faults, mean_errors, shrink_faults
 from analysis.search.space.test_file import TestFile, read_test
 from analysis.work_progress import WorkProgress
+from analysis.worker_pool import WorkerPool, open_worker_pool
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -49,7 +50,7 @@ def main(args: argparse.Namespace) -> int:
     test = apply_options(read_test(args.testfile), args)
     # Runs get their own numbered folder: nothing is overwritten.
     folder = Path(args.out) if args.out else new_folder(Path("runs"))
-    pool = pool_of(args.workers, args.ray)
+    pool = open_worker_pool(args.workers, args.ray)
     try:
         with WorkProgress("searching", test.budget or DEFAULT_BUDGET, "tests") as bar:
 
@@ -90,7 +91,7 @@ def apply_options(test: TestFile, args: argparse.Namespace) -> TestFile:
 
 
 def falsify(
-    test: TestFile, pool: Pool, folder: Path, progress: Progress, say: Callable[[str], None]
+    test: TestFile, pool: WorkerPool, folder: Path, progress: Progress, say: Callable[[str], None]
 ) -> int:
     """Search for flights that violate the requirement, and reduce them; return 1 if there are any.
 
@@ -129,7 +130,7 @@ def new_folder(parent: Path) -> Path:
 
 def run_search(
     test: TestFile,
-    pool: Pool,
+    pool: WorkerPool,
     folder: Path,
     progress: Progress | None = None,
     say: Callable[[str], object] | None = None,
@@ -157,7 +158,7 @@ def run_search(
 
 def search_cases(
     test: TestFile,
-    pool: Pool,
+    pool: WorkerPool,
     folder: Path,
     archive: Archive,
     rejected: Counter[str],
@@ -189,6 +190,8 @@ def search_cases(
                     worst = max(float(one["fitness"].max()) for one in parts)
                     worst = max([worst, *(case.fitness for case in archive.cases)])
                     progress(tests + sum(map(len, parts)), worst, budget)
+                if test.first and part["fitness"].max() > 0.0:
+                    break
             records = np.concatenate(parts)
             points = points[: len(records)]
             archive.add(tests, points, records["fitness"])
@@ -204,7 +207,7 @@ def search_cases(
 
 
 def evaluate_points(
-    test: TestFile, pool: Pool, history: History, points: Array, first: int, deadline: float
+    test: TestFile, pool: WorkerPool, history: History, points: Array, first: int, deadline: float
 ) -> Iterator[np.ndarray[tuple[int], np.dtype[np.void]]]:
     """Records of points (n, d): from the history as far as it goes, else flown and appended.
 
@@ -221,7 +224,7 @@ def evaluate_points(
         part, number = points[start : start + length], first + start
         records = history.recall(len(part))
         if records is None:
-            outcome = pool.evaluate(test, part, test.seed, number, test.noise_draws)
+            outcome = evaluate_with(pool, test, part, test.seed, number, test.noise_draws)
             records = records_of(outcome)
             history.append(records)
         yield records
@@ -238,7 +241,7 @@ def records_of(outcome: EvaluationOutcome) -> np.ndarray[tuple[int], np.dtype[np
 
 
 def rescore_cases(
-    test: TestFile, pool: Pool, cases: list[Case]
+    test: TestFile, pool: WorkerPool, cases: list[Case]
 ) -> list[tuple[Case, EvaluationOutcome]]:
     """Candidates within the envelope with their error on fresh noise, worst first."""
     # A fitness of zero or less: the flight left the envelope.
@@ -248,7 +251,8 @@ def rescore_cases(
     # Fresh noise removes the selection bias of the best of many.
     seed, draws = test.seed + FRESH_SEED_OFFSET, test.rescore_draws
     rescored = [
-        (case, pool.evaluate(test, case.point[None, :], seed, case.number, draws)) for case in valid
+        (case, evaluate_with(pool, test, case.point[None, :], seed, case.number, draws))
+        for case in valid
     ]
     return sorted(rescored, key=lambda pair: -pair[1].fitness[0])
 
@@ -277,6 +281,10 @@ def finish_case(test: TestFile, case: Case, outcome: EvaluationOutcome) -> Worst
     limit = test.breaks_at_deg if test.breaks_at_deg is not None else 0.5 * error
     if not test.faults or error < limit:
         return worst
-    errors = MeanErrors(test, test.seed + FRESH_SEED_OFFSET, test.noise_draws)
-    least = shrink_faults(test, values, limit, errors)
-    return worst._replace(shrunk=least, shrunk_deg=float(errors([least])[0]))
+
+    def breaks(cases: list[Values]) -> NDArray[np.bool_]:
+        return mean_errors(test, cases, test.seed + FRESH_SEED_OFFSET) >= limit
+
+    least = shrink_faults(test, drop_faults(test, values, breaks), breaks)
+    (shrunk_deg,) = mean_errors(test, [least], test.seed + FRESH_SEED_OFFSET)
+    return worst._replace(shrunk=least, shrunk_deg=float(shrunk_deg))

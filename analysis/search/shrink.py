@@ -1,11 +1,15 @@
-"""Shrink a worst case to the smallest fault that still breaks the estimator.
+"""Shrink a case to the smallest faults with which it still breaks the estimator or a requirement.
 
-Each fault's value and duration in turn is reduced toward no fault while the mean error over fresh
-noise stays at the limit. The error need not grow monotonically with a fault, so a grid is
-evaluated, then a finer one in the interval where the estimator breaks.
+Delta debugging [1]_: faults are dropped, then the value and duration of each in turn is reduced
+toward no fault. The error need not grow monotonically with a fault, so the compiled kernels
+evaluate a grid, then a finer one in the interval where the case breaks; slow flights bisect.
+
+References
+----------
+.. [1] Zeller and Hildebrandt, IEEE Transactions on Software Engineering 28(2), 2002.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import msgspec
 import numpy as np
@@ -24,8 +28,10 @@ from analysis.search.space.test_file import (
 )
 
 Array = NDArray[np.float64]
-KERNEL_GRID, SIMULATOR_GRID = 12, 4  # grid points; flights in the simulator are slow
-ROUNDS = 2  # a grid and one refinement
+Values = dict[str, float]
+Breaks = Callable[[list[Values]], Sequence[bool] | NDArray[np.bool_]]  # which of some cases break
+# Intervals of a grid, and refinements; chosen: to 1/144, and to 1/8 in three slow flights.
+KERNEL_GRID, SIMULATOR_GRID = (12, 2), (2, 3)
 
 
 def pin_values(test: TestFile, values: Mapping[str, float]) -> TestFile:
@@ -73,48 +79,39 @@ def scale_toward_none(test: TestFile, name: str, value: float, share: Array) -> 
     return healthy + share * (value - healthy)
 
 
-def shrink_faults(
-    test: TestFile,
-    values: Mapping[str, float],
-    limit_deg: float,
-    errors_deg: "MeanErrors",
-) -> dict[str, float]:
-    """The values with the smallest faults found; `errors_deg` gives mean errors of cases."""
+def drop_faults(test: TestFile, values: Mapping[str, float], breaks: Breaks) -> Values:
+    """The values with zero duration for each fault without which the case still breaks."""
+    fewer = dict(values)
+    for i in range(len(test.faults)):
+        absent = fewer | {f"faults[{i}].for_s": 0.0}
+        fewer = absent if breaks([absent])[0] else fewer
+    return fewer
+
+
+def shrink_faults(test: TestFile, values: Mapping[str, float], breaks: Breaks) -> Values:
+    """The values with the smallest magnitudes and durations found that still break."""
     smallest = dict(values)
-    grid = SIMULATOR_GRID if test.simulated else KERNEL_GRID
+    grid, rounds = SIMULATOR_GRID if test.simulated else KERNEL_GRID
     for name in fault_names(test):
+        # A dropped fault has no size.
+        if smallest.get(f"{name.partition('.')[0]}.for_s") == 0.0:
+            continue
         low, high = 0.0, 1.0
-        for _ in range(ROUNDS):
-            # Without the last point, the case itself, which is known to break.
-            share = np.linspace(low, high, grid + 1)[:-1]
-            candidates = [
-                smallest | {name: float(v)}
-                for v in scale_toward_none(test, name, smallest[name], share)
-            ]
-            broken = errors_deg(candidates) >= limit_deg
-            if not broken.any():
-                low = float(share[-1])
-                continue
-            # The first that breaks; larger values need not all break.
-            k = int(np.argmax(broken))
-            high = float(share[k])
-            low = float(share[k - 1]) if k else high
-            # Even no fault breaks: this fault is not the cause.
-            if k == 0:
-                break
-        smallest[name] = float(scale_toward_none(test, name, smallest[name], np.array([high]))[0])
+        for _ in range(rounds):
+            share = np.linspace(low, high, grid + 1)
+            scaled = scale_toward_none(test, name, values[name], share)
+            # The ends are known. The first that breaks; larger values need not all break.
+            broken = breaks([smallest | {name: float(value)} for value in scaled[1:-1]])
+            k = 1 + int(np.argmax([*broken, True]))
+            low, high = float(share[k - 1]), float(share[k])
+        smallest[name] = float(scale_toward_none(test, name, values[name], np.array([high]))[0])
     return smallest
 
 
-class MeanErrors:
-    """Mean errors in degrees of several cases with the same noise; -inf outside the envelope."""
-
-    def __init__(self, test: TestFile, seed: int, draws: int) -> None:
-        self._test, self._seed, self._draws = test, seed, draws
-
-    def __call__(self, cases: list[dict[str, float]]) -> Array:
-        # The same noise for all cases: only the faults differ.
-        columns = {name: np.array([case[name] for case in cases]) for name in cases[0]}
-        flown = make_evaluator(self._test)
-        outcome = flown.evaluate_values(columns, self._seed, 0, self._draws, True)
-        return np.where(outcome.broken_limit > 0, -np.inf, outcome.fitness)
+def mean_errors(test: TestFile, cases: Sequence[Values], seed: int) -> Array:
+    """Mean errors of cases with the same noise; -inf outside the envelope."""
+    # The same noise for all cases: only the faults differ.
+    columns = {name: np.array([case[name] for case in cases]) for name in cases[0]}
+    evaluator = make_evaluator(test)
+    outcome = evaluator.evaluate_values(columns, seed, 0, test.noise_draws, True)
+    return np.where(outcome.broken_limit > 0, -np.inf, outcome.fitness)

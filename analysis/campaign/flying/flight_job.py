@@ -35,6 +35,49 @@ class FlightJob:
     reference: CampaignFlight | None = None
     keep: str | None = None
 
+    def run(self) -> "JobAnswer":
+        """Fly the job in this process.
+
+        Raises
+        ------
+        ConfigError
+            If the flight fails because of the campaign file.
+        """
+        first = self.cells[0]
+        start = onset_keys(first.onset)
+        # The phase of the reference flight, since the fault may keep its own from reaching it.
+        if not start and self.reference is not None:
+            if first.onset not in self.reference.phases:
+                return aborted_answer(self, f"the flight has no {first.onset}")
+            start = {"at_s": self.reference.phases[str(first.onset)]}
+        flight = run_cell_flight(self, start)
+        if self.reference is None:
+            return JobAnswer([], flight)
+        # A condition is met when the flight does so.
+        onset_s = start["at_s"] if len(start) == 1 else flight.fault_s
+        if onset_s is None:
+            return aborted_answer(self, f"no fault acted: {first.onset} did not come")
+        results = [self._judge(cell, onset_s, flight, self.reference) for cell in self.cells]
+        # Logs are removed afterwards, once the outcome is known.
+        unneeded = self.campaign.keep == "interesting" and not _interesting(results)
+        if self.keep is not None and unneeded:
+            shutil.rmtree(self.keep)
+        return JobAnswer(results, flight)
+
+    def _judge(
+        self, cell: Cell, onset_s: float, flight: CampaignFlight, reference: CampaignFlight
+    ) -> CellResult:
+        own, healthy = flight.evidence[cell.subject], reference.evidence.get(cell.subject)
+        return msgspec.structs.replace(
+            classify_flight(cell, onset_s, own, healthy or Evidence(), self.campaign.limits),
+            verdict=flight.verdict.word,
+            blamed=flight.verdict.blamed,
+            verdict_s=flight.verdict.delay_s,
+            failed=flight.failed,
+            wall_s=flight.wall_s,
+            requirements=flight.requirements.get(cell.subject, []),
+        )
+
 
 @dataclass(frozen=True)
 class LaneJob:
@@ -42,6 +85,13 @@ class LaneJob:
 
     campaign: CampaignFile
     cells: tuple[Cell, ...]
+
+    def run(self) -> "JobAnswer":
+        """Fly the batch in this process; raises as `run_lanes` does."""
+        # Imported here: flights in the simulator do not need the search's kernels.
+        from analysis.campaign.flying.compiled_lanes import run_lanes
+
+        return JobAnswer(run_lanes(self.campaign, self.cells))
 
 
 @dataclass(frozen=True)
@@ -53,57 +103,6 @@ class JobAnswer:
 
 
 Job = FlightJob | LaneJob
-
-
-def run_job(job: Job) -> JobAnswer:
-    """Fly a job in this process.
-
-    Raises
-    ------
-    ConfigError
-        If the flight fails because of the campaign file.
-    """
-    if isinstance(job, LaneJob):
-        # Imported here: flights in the simulator do not need the search's kernels.
-        from analysis.campaign.flying.compiled_lanes import run_lanes
-
-        return JobAnswer(run_lanes(job.campaign, job.cells))
-    first = job.cells[0]
-    start = onset_keys(first.onset)
-    # The phase of the reference flight, since the fault may keep its own from reaching it.
-    if not start and job.reference is not None:
-        if first.onset not in job.reference.phases:
-            return aborted_answer(job, f"the flight has no {first.onset}")
-        start = {"at_s": job.reference.phases[str(first.onset)]}
-    flight = run_cell_flight(job, start)
-    if job.reference is None:
-        return JobAnswer([], flight)
-    # A condition is met when the flight does so.
-    onset_s = start["at_s"] if len(start) == 1 else flight.fault_s
-    if onset_s is None:
-        return aborted_answer(job, f"no fault acted: {first.onset} did not come")
-    results = [
-        msgspec.structs.replace(
-            classify_flight(
-                cell,
-                onset_s,
-                flight.evidence[cell.subject],
-                job.reference.evidence.get(cell.subject, Evidence()),
-                job.campaign.limits,
-            ),
-            verdict=flight.verdict.word,
-            blamed=flight.verdict.blamed,
-            verdict_s=flight.verdict.delay_s,
-            failed=flight.failed,
-            wall_s=flight.wall_s,
-            requirements=flight.requirements.get(cell.subject, []),
-        )
-        for cell in job.cells
-    ]
-    # Logs are removed afterwards, once the outcome is known.
-    if job.keep is not None and job.campaign.keep == "interesting" and not _interesting(results):
-        shutil.rmtree(job.keep)
-    return JobAnswer(results, flight)
 
 
 def _interesting(results: list[CellResult]) -> bool:

@@ -59,8 +59,7 @@ def search_test_file(campaign: CampaignFile, result: CellResult, folder: Path) -
         entry["also"] = fault.also
     return {
         **_flight(campaign, cell.scenario, folder),
-        **_subject(campaign, cell.subject, folder),
-        "criterion": "angle",
+        **_subject(campaign, result),
         "seed": cell.seed,
         "faults": [entry],
     }
@@ -78,15 +77,19 @@ def _flight(campaign: CampaignFile, name: str, folder: Path) -> dict[str, Any]:
     return {"scenario": os.path.relpath(file, folder), "vary": vary}
 
 
-def _subject(campaign: CampaignFile, name: str, folder: Path) -> dict[str, Any]:
-    """Return the subject keys: an estimator, or an autopilot as `run` starts it."""
+def _subject(campaign: CampaignFile, result: CellResult) -> dict[str, Any]:
+    """Return the subject keys: an estimator, or an autopilot as `run` starts it, with the
+    requirement that the cell violated."""
+    name = result.cell.subject
     autopilot = campaign.autopilot(name)
     if autopilot is None:
-        return {"estimator": name}
+        return {"estimator": name, "criterion": "angle"}
     if autopilot.arguments:
         raise ConfigError(f"{name}: a search does not support `arguments` of an autopilot")
     choice = {"kind": autopilot.autopilot, "binary": autopilot.binary}
     if autopilot.parameters:
         parameters = Path(campaign.folder) / autopilot.parameters
         choice["parameters"] = str(parameters.resolve())
-    return {"estimator": "autopilot", "autopilot": choice}
+    violated = [one.formula for one in result.requirements if one.met is False]
+    required = (violated or ["knows_its_attitude"])[0]
+    return {"estimator": "autopilot", "autopilot": choice, "violate": required}

@@ -1,7 +1,7 @@
 """Evaluation in the simulator, through the proxy, one flight at a time.
 
 Supports what the compiled kernels lack: any scenario, every fault of the proxy, the sensor fusion,
-and an external autopilot.
+requirements, and an external autopilot.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,6 @@ from analysis.run.proxied_flight import ProxiedFlight
 from analysis.samples.decoder import Decoder
 from analysis.scoring.attitude_scores import AXES
 from analysis.scoring.attitude_scoring import AttitudeConfig, AttitudeScorer
-from analysis.search.evaluation.autopilot_flight import measure_autopilot_error
 from analysis.search.evaluation.compiled_batch import EvaluationOutcome
 from analysis.search.evaluation.violation import fly_violation
 from analysis.search.lanes.noise_kernel import seed_of
@@ -25,7 +24,7 @@ from analysis.search.space.airframe import has_rotors, read_airframe, trim_value
 from analysis.search.space.dimensions import Space, fault_entries, flight_entries, space_of
 from analysis.search.space.point_scenario import Document, document_of
 from analysis.search.space.section import Range
-from analysis.search.space.test_file import AutopilotChoice, FlightEnvelope, TestFile
+from analysis.search.space.test_file import FlightEnvelope, TestFile
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
@@ -37,7 +36,6 @@ from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.vehicles.body import Truth
 
 Array = NDArray[np.float64]
-GROUND_LIMIT = 7  # number of the height limit
 
 
 class FlightScores(NamedTuple):
@@ -148,8 +146,6 @@ def score_flight(test: TestFile, document: Document) -> FlightScores:
     """Fly a scenario until its end or until it leaves the envelope, and score the estimator."""
     if test.violate is not None:
         return score_violation(test, document)
-    if test.autopilot is not None:
-        return score_autopilot_flight(test.autopilot, test, document)
     scenario, schedule = decode_document(document)
     scorer = FlightScorer(msgspec.convert(document["monitor"]["attitude"], AttitudeConfig))
 
@@ -186,31 +182,6 @@ def score_violation(test: TestFile, document: Document) -> FlightScores:
     violated = np.full(4, -found.fitness)
     parts = {"requirement": msgspec.to_builtins(found), "behaviour": flight.behaviour}
     return FlightScores(violated, violated, flight.duration_s, 0, 0, parts)
-
-
-def score_autopilot_flight(
-    choice: AutopilotChoice, test: TestFile, document: Document
-) -> FlightScores:
-    """Like `score_flight`, with an autopilot; a flight that does not end by landing counts as
-    hitting the ground."""
-    scenario, _ = decode_document(document)
-    errors, error_deg = measure_autopilot_error(choice, document, test.settle_s)
-    named = dict(zip(AXES, error_deg.tolist(), strict=True))
-    rate_hz = float(getattr(first_imu(scenario), "rate_hz", 0.0))
-    return FlightScores(
-        error_deg,
-        errors.largest_deg,
-        errors.lasted_s,
-        GROUND_LIMIT if errors.ended_early else 0,
-        round(errors.lasted_s * rate_hz),
-        {"rmse_deg": named},
-    )
-
-
-def first_imu(scenario: Scenario) -> Any:
-    """The first IMU, whose rate is that of the steps."""
-    imu = scenario.sensors.imu
-    return imu[0] if isinstance(imu, list) else imu
 
 
 def envelope_violation(truth: Truth, limits: FlightEnvelope, hovers: bool) -> int:

@@ -2,23 +2,18 @@
 
 import tempfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
-
-import msgspec
 
 from analysis.flying.autopilot_cell import run_autopilot_cell
 from analysis.flying.flight_evidence import CampaignFlight
 from analysis.flying.internal_flight import run_simulated_flight
-from analysis.monitor.pipeline import monitor_config
-from analysis.run.run_setup import RunSetup
-from analysis.run.vehicle_effects import vehicle_effects
-from analysis.scoring.criteria import Criteria
+from analysis.run.run_setup import read_setup
 from analysis.scoring.requirements import RequirementResult
-from analysis.search.evaluation.autopilot_flight import flight_arguments
 from analysis.search.space.test_file import TestFile
+from mavproxy_fault.documents.yaml_document import without_none, write_yaml
 from mavproxy_fault.schedule.entries import parse_schedule
-from simvehicle.scenario.scenario_file import Scenario
 
 
 def fly_violation(
@@ -31,26 +26,31 @@ def fly_violation(
     ConfigError
         If the flight fails, or a value is not allowed.
     """
-    requirement, schedule = test.requirement, dict(document["schedule"])
-    schedule = {"seed": document["seed"], "faults": schedule["faults"]}
-    if test.autopilot is not None:
-        with tempfile.TemporaryDirectory(prefix="search-") as scratch:
-            folder = keep or Path(scratch)
-            arguments = flight_arguments(test.autopilot, document, folder)
+    schedule = schedule_of(document)
+    with tempfile.TemporaryDirectory(prefix="search-") as scratch:
+        folder = keep or Path(scratch)
+        file = write_scenario(document, folder)
+        if test.autopilot is not None:
+            run = [file, *test.autopilot.options()]
             flight = run_autopilot_cell(
-                test.estimator, arguments, schedule, folder, kept=False, must_act=False
+                test.estimator, run, schedule, folder, kept=False, must_act=False
             )
-    else:
-        scenario = msgspec.convert(
-            {key: value for key, value in document.items() if value is not None}, Scenario
-        )
-        config = msgspec.structs.replace(
-            monitor_config(document["monitor"], test.violate or "", {}),
-            actuators=vehicle_effects(scenario),
-        )
-        setup = RunSetup(
-            scenario, parse_schedule(schedule, "the search"), config, Criteria(), (requirement,)
-        )
-        flight = run_simulated_flight(setup, [test.estimator], keep)
-    judged = {one.name: one for one in flight.requirements[test.estimator]}
-    return judged[requirement.label], flight
+        else:
+            setup = replace(read_setup(file), schedule=parse_schedule(schedule, "the search"))
+            flight = run_simulated_flight(setup, [test.estimator], keep)
+    (judged,) = flight.requirements[test.estimator]
+    return judged, flight
+
+
+def write_scenario(document: Mapping[str, Any], folder: Path) -> str:
+    """Write the scenario of a point without its schedule to a folder; return the file's path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = folder / "scenario.yaml"
+    scenario = {key: value for key, value in document.items() if key != "schedule"}
+    file.write_text(write_yaml(without_none(scenario)))
+    return str(file)
+
+
+def schedule_of(document: Mapping[str, Any]) -> dict[str, Any]:
+    """The schedule of a point's faults."""
+    return {"seed": document["seed"], "faults": document["schedule"]["faults"]}

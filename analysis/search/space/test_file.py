@@ -139,6 +139,13 @@ class AutopilotChoice(Section, frozen=True):
     binary: str | None = None
     parameters: str | None = None
 
+    def options(self) -> list[str]:
+        """The options of `run` that start it."""
+        found = ["--autopilot", self.kind]
+        for option, value in (("--binary", self.binary), ("--parameters", self.parameters)):
+            found += [option, value] if value is not None else []
+        return found
+
 
 class TestFile(Section, frozen=True):
     """A complete test file.
@@ -205,8 +212,10 @@ class TestFile(Section, frozen=True):
         # Either alone is a mistake.
         if (self.estimator == AUTOPILOT) != (self.autopilot is not None):
             raise ValueError("estimator: autopilot needs the section autopilot; give both or none")
-        if self.autopilot is not None and self.scenario is None:
-            raise ValueError("autopilot is set without scenario; give scenario too")
+        if self.autopilot is not None and not (self.scenario and self.violate):
+            raise ValueError(
+                "autopilot needs scenario and violate, such as violate: knows_its_attitude"
+            )
         if self.vary and self.scenario is None:
             raise ValueError("vary is set without scenario; give scenario too")
         if (self.violate or self.at_once) and not self.simulated:

@@ -8,7 +8,6 @@ import pytest
 from analysis.search.archive import MIN_DISTANCE, Archive, rms_distance
 from analysis.search.cases import yaml_of_test
 from analysis.search.evaluation.compiled_batch import EvaluationOutcome
-from analysis.search.evaluation.pool import InProcessPool, LocalProcessPool
 from analysis.search.history import RECORD
 from analysis.search.search_command import main, run_search
 from analysis.search.space.test_file import (
@@ -19,6 +18,7 @@ from analysis.search.space.test_file import (
     TestFile,
     read_test,
 )
+from analysis.worker_pool import InProcessPool, LocalWorkerPool
 from mavproxy_fault.documents.errors import ConfigError
 
 TEST = TestFile(
@@ -61,7 +61,7 @@ def test_the_worst_case_has_a_large_fault_and_a_smaller_one_that_still_breaks(tm
 
 def test_workers_change_nothing(tmp_path):
     alone = run_search(TEST, InProcessPool(), tmp_path / "a")[0]
-    pool = LocalProcessPool(2)
+    pool = LocalWorkerPool(2)
     try:
         together = run_search(TEST, pool, tmp_path / "b")[0]
     finally:
@@ -96,10 +96,10 @@ def test_a_killed_search_continues_where_it_was(tmp_path):
     flown = []
 
     class Counting(InProcessPool):
-        def evaluate(self, test, points, seed, first, draws):
-            if seed == TEST.seed:
-                flown.append(first)
-            return super().evaluate(test, points, seed, first, draws)
+        def start(self, number, job):
+            if job.seed == TEST.seed:
+                flown.append(job.first)
+            super().start(number, job)
 
     resumed = run_search(TEST, Counting(), tmp_path / "killed")[0]
     assert resumed == whole
@@ -112,13 +112,18 @@ def test_flights_in_the_simulator_are_saved_in_small_batches(tmp_path):
     )
 
     class Dying(InProcessPool):
-        def evaluate(self, test, points, seed, first, draws):
-            if first == 16:
+        def start(self, number, job):
+            self.number, self.job = number, job
+
+        def finished(self):
+            if self.job.first == 16:
                 raise Killed
-            nothing = np.zeros(len(points))
-            axes = np.zeros((len(points), 4))
+            nothing = np.zeros(len(self.job.points))
+            axes = np.zeros((len(nothing), 4))
             whole = nothing.astype(np.int64)
-            return EvaluationOutcome(nothing, nothing, axes, axes, nothing, whole, 0, axes[:, :3])
+            return self.number, EvaluationOutcome(
+                nothing, nothing, axes, axes, nothing, whole, 0, axes[:, :3]
+            )
 
     with pytest.raises(Killed):
         run_search(test, Dying(), tmp_path)

@@ -6,9 +6,10 @@ import signal
 import numpy as np
 import pytest
 
-from analysis.search.evaluation import pool
 from analysis.search.evaluation.compiled_batch import Batch
+from analysis.search.evaluation.evaluation_job import EvaluationJob, evaluate_with
 from analysis.search.space.test_file import InitialState, TestFile
+from analysis.worker_pool import RayWorkerPool
 
 ray = pytest.importorskip("ray", reason="Ray is not installed")
 TEST = TestFile(duration_s=1.0, noise_draws=2, initial=InitialState(roll_deg=(-40.0, 40.0)))
@@ -19,19 +20,29 @@ TEST = TestFile(duration_s=1.0, noise_draws=2, initial=InitialState(roll_deg=(-4
 def test_a_killed_worker_changes_nothing(tmp_path, monkeypatch):
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     marker = tmp_path / "killed"
-    work = pool.evaluate_job
+    work = EvaluationJob.run
 
     def deadly(job):
-        if job[3] > 0 and not marker.exists():
+        if job.first > 0 and not marker.exists():
             marker.touch()
             os.kill(os.getpid(), signal.SIGKILL)
         return work(job)
 
-    monkeypatch.setattr(pool, "evaluate_job", deadly)
-    cluster = pool.RayPool("auto")
+    class DeadlyPool(RayWorkerPool):
+        def start(self, number, job):
+            super().start(number, Deadly(job))
+
+    class Deadly:
+        def __init__(self, job):
+            self.job = job
+
+        def run(self):
+            return deadly(self.job)
+
+    cluster = DeadlyPool("auto")
     try:
         points = np.linspace(0.0, 1.0, 64)[:, None]
-        found = cluster.evaluate(TEST, points, 1, 0, 2)
+        found = evaluate_with(cluster, TEST, points, 1, 0, 2)
     finally:
         cluster.close()
         ray.shutdown()
@@ -44,6 +55,7 @@ def test_a_killed_worker_changes_nothing(tmp_path, monkeypatch):
 def test_a_cluster_that_is_already_joined_is_left_running(monkeypatch):
     calls = []
     monkeypatch.setattr(ray, "is_initialized", lambda: True)
+    monkeypatch.setattr(ray, "cluster_resources", dict)
     monkeypatch.setattr(ray, "shutdown", lambda: calls.append("shutdown"))
-    pool.RayPool("auto").close()
+    RayWorkerPool("auto").close()
     assert calls == []

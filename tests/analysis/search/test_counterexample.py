@@ -24,7 +24,7 @@ SCENARIO = {
     "requirements": {"attitude": "always(attitude_error_deg < 8)"},
 }  # fmt: skip
 SEARCH = {
-    "scenario": "quad.yaml", "estimator": "mahony", "violate": "attitude", "budget": 8, "keep": 1,
+    "scenario": "quad.yaml", "estimator": "mahony", "violate": "attitude", "budget": 24, "keep": 1,
     "method": "random", "at_once": [2, 2], "rescore_draws": 2,
     "vary": {"environment.wind_ned_mps[0]": [3, 5]},
     "faults": [
@@ -47,6 +47,7 @@ def test_a_counterexample_is_reduced_to_its_cause_and_flies_again(folder: Path, 
     arguments = ["search", str(folder / "search.yaml"), "--out", str(folder / "out"), "--first"]
     assert cli.main(arguments) == 1
     summary = json.loads((folder / "out" / "search-summary.json").read_text())
+    assert summary["flights"] == 8  # the first batch has one, and the rest is not flown
     (found,) = summary["counterexamples"]
     (fault,) = found["faults"]  # the temperature of a sensor has no effect
     assert fault["target"] in ("HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro")

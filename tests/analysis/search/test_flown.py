@@ -10,14 +10,12 @@ from analysis.flying.onset import onset_keys
 from analysis.run.proxied_flight import ProxiedFlight
 from analysis.run.run_setup import read_setup
 from analysis.scoring.attitude_scoring import AttitudeConfig
-from analysis.search.cases import campaign_document, write_cases
+from analysis.search.cases import write_cases
 from analysis.search.evaluation.compiled_batch import Batch
-from analysis.search.evaluation.pool import InProcessPool
 from analysis.search.evaluation.simulated_batch import FlightScorer, SimulatedBatch, score_flight
 from analysis.search.search_command import run_search
 from analysis.search.space.point_scenario import document_of
 from analysis.search.space.test_file import (
-    AutopilotChoice,
     FaultRange,
     InitialState,
     Mission,
@@ -27,8 +25,8 @@ from analysis.search.space.test_file import (
     TestFile,
     read_test,
 )
+from analysis.worker_pool import InProcessPool
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.yaml_document import write_yaml
 from mavproxy_fault.schedule.entries import parse_schedule
 
 QUIET = SearchSensors(
@@ -153,22 +151,6 @@ def test_a_worst_case_is_a_test_cell_of_a_campaign(tmp_path):
     assert parse_schedule({"faults": [again]}, "here").faults[0] == entry
     assert cell.seeds == (setup.scenario.seed,)
     assert cell.subject_names == ["mahony"]
-
-
-def test_an_autopilots_worst_case_is_a_cell_with_that_autopilot(tmp_path):
-    choice = AutopilotChoice(kind="px4", binary="/opt/px4", parameters="own.params")
-    test = TestFile(estimator="autopilot", autopilot=choice, scenario={})
-    fault = {"id": "drawn-0", "fault": "freeze", "target": "HIL_SENSOR.zgyro", "at_s": 3.0}
-    (tmp_path / "cell.yaml").write_text(write_yaml(campaign_document(test, "worst-01", fault, 5)))
-    (tmp_path / "own.params").write_text("EKF2_GPS_CTRL 0\n")
-    cell = read_campaign(tmp_path / "cell.yaml")
-    subject = cell.autopilot("px4")
-    assert subject is not None
-    assert subject.options(tmp_path) == [
-        "--autopilot", "px4", "--binary", "/opt/px4", "--parameters", str(tmp_path / "own.params"),
-    ]  # fmt: skip
-    assert cell.durations_s == (test.duration_s,)  # without a duration it lasts to the end
-    assert cell.faults[0].magnitudes is None
 
 
 def test_a_key_that_the_scenario_does_not_have_is_the_users_error(tmp_path):

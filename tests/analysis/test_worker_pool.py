@@ -7,11 +7,12 @@ import pytest
 
 from analysis.campaign.campaign_file import read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
-from analysis.campaign.worker_pool import LocalWorkerPool, RayWorkerPool
+from analysis.campaign.campaign_run import answer_of
+from analysis.worker_pool import JobFailure, LocalWorkerPool, RayWorkerPool
 from mavproxy_fault.documents.errors import ConfigError
 
-SMALL = read_campaign(Path(__file__).parent / "small.yaml")
-LONG = msgspec.structs.replace(SMALL, folder=str(Path(__file__).parent))
+SMALL = read_campaign(Path(__file__).parent / "campaign" / "small.yaml")
+LONG = msgspec.structs.replace(SMALL, folder=str(Path(__file__).parent / "campaign"))
 
 
 def test_a_hung_flight_is_ended_and_reported() -> None:
@@ -22,10 +23,9 @@ def test_a_hung_flight_is_ended_and_reported() -> None:
         number, answer = fleet.finished()
     finally:
         fleet.close()
-    assert number == 7
-    assert {(r.outcome, r.note) for r in answer.results} == {
-        ("aborted", "hung: not over after 0.01 s")
-    }
+    assert (number, answer) == (7, JobFailure("hung: not over after 0.01 s"))
+    (result, *_) = answer_of(job, answer).results
+    assert (result.outcome, result.note) == ("aborted", answer.reason)
 
 
 def test_a_process_that_dies_is_reported(tmp_path: Path) -> None:
@@ -40,7 +40,7 @@ def test_a_process_that_dies_is_reported(tmp_path: Path) -> None:
             _, answer = fleet.finished()
     finally:
         fleet.close()
-    assert "died with code" in answer.results[0].note
+    assert "died with code" in answer.reason
 
 
 def test_a_missing_ray_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:

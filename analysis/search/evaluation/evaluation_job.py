@@ -1,0 +1,56 @@
+"""Evaluations as jobs of a worker pool: the number of an evaluation determines its noise, so that
+all pools give the same outcome."""
+
+from functools import lru_cache
+from itertools import pairwise
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from analysis.search.evaluation.compiled_batch import EvaluationOutcome
+from analysis.search.evaluation.evaluator import Evaluator, make_evaluator
+from analysis.search.space.test_file import TestFile
+from analysis.worker_pool import WorkerPool, run_jobs
+
+
+class EvaluationJob(NamedTuple):
+    """Points (n, d) of a test in JSON, evaluated as `Evaluator.evaluate` does."""
+
+    test: bytes
+    points: NDArray[np.float64]
+    seed: int
+    first: int
+    draws: int
+
+    def run(self) -> EvaluationOutcome:
+        """Evaluate the points in this process."""
+        return cached_evaluator(self.test).evaluate(self.points, self.seed, self.first, self.draws)
+
+
+@lru_cache(maxsize=8)
+def cached_evaluator(encoded: bytes) -> Evaluator:
+    """The evaluator of a test in JSON; cached, since reading the airframe takes time."""
+    return make_evaluator(msgspec.json.decode(encoded, type=TestFile))
+
+
+def evaluate_with(
+    pool: WorkerPool,
+    test: TestFile,
+    points: NDArray[np.float64],
+    seed: int,
+    first: int,
+    draws: int,
+) -> EvaluationOutcome:
+    """Evaluate points (n, d) with a worker pool, split into a job for each worker."""
+    encoded = msgspec.json.encode(test)
+    cuts = np.linspace(0, len(points), min(pool.workers, len(points)) + 1).astype(int).tolist()
+    jobs = [EvaluationJob(encoded, points[a:b], seed, first + a, draws) for a, b in pairwise(cuts)]
+    outcomes = run_jobs(pool, jobs)
+    arrays = {
+        name: np.concatenate([getattr(outcome, name) for outcome in outcomes])
+        for name in EvaluationOutcome._fields
+        if name != "steps"
+    }
+    return EvaluationOutcome(**arrays, steps=sum(outcome.steps for outcome in outcomes))
