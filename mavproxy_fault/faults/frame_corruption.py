@@ -6,7 +6,7 @@ from msgspec import Meta
 
 from mavproxy_fault.fault_parts.fault import LinkFault, Outgoing
 from mavproxy_fault.fault_parts.rules import Drawn, Effect, Numbers, RuleLinkFault, link_rule
-from mavproxy_fault.faults.loss import Share
+from mavproxy_fault.faults.loss import Share, ShareFault
 from mavproxy_fault.faults.timing import choose_share
 from mavproxy_fault.wire.frame import Frame
 
@@ -53,25 +53,16 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
         return bytes(mixed)
 
 
-class Truncate(RuleLinkFault, frozen=True, kw_only=True):
+class Truncate(ShareFault, frozen=True, kw_only=True):
     """Cut the last `count` bytes off a fraction `value` of the frames."""
 
     name: ClassVar[str] = "truncate"
     example: ClassVar[dict[str, Any]] = {}
     rule = staticmethod(choose_share)
+    parameters: ClassVar[tuple[str, ...]] = ("value", "count")
     effect: ClassVar[Effect] = "cut"
 
-    value: Share = 1.0
     count: Annotated[int, Meta(ge=1)] = 4
-
-    @property
-    def drawn(self) -> Drawn:
-        """One to choose the frame."""
-        return "random" if self.value < 1.0 else ""
-
-    def numbers(self) -> Numbers:
-        """Return share and number of bytes."""
-        return self.value, float(self.count)
 
 
 @link_rule
@@ -92,17 +83,10 @@ class SequenceGap(RuleLinkFault, frozen=True, kw_only=True):
     # A new sequence number would break the signature, which covers the header.
     takes_sealed: ClassVar[bool] = False
     rule = staticmethod(skip_numbers)
+    parameters: ClassVar[tuple[str, ...]] = ("value", "count")
+    drawn: ClassVar[Drawn] = "random"
     effect: ClassVar[Effect] = "renumber"
     remembers: ClassVar[int] = 2
 
     value: Share = 0.1
     count: Annotated[int, Meta(ge=1, le=255)] = 1
-
-    @property
-    def drawn(self) -> Drawn:
-        """One to choose the frame."""
-        return "random"
-
-    def numbers(self) -> Numbers:
-        """Return share and number of skipped numbers."""
-        return self.value, float(self.count)
