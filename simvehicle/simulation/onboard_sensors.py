@@ -54,7 +54,7 @@ class CompiledOnboardSensor(OnboardSensor):
     def refill(self) -> None:
         """Draw the next block of errors if the last one is used up."""
         if self.record["row"] == BLOCK:
-            self.state = self.sensor.next_errors(self.state, self.rng)
+            self.state = self.sensor.next_blocks(self.state, self.rng)
             self._put_errors()
 
     def _put_errors(self) -> None:
