@@ -16,7 +16,7 @@ from simvehicle.autopilot.enums import (
 )
 from simvehicle.autopilot.mode_list import LISTED_MODES
 from simvehicle.hil import hil_messages
-from simvehicle.hil.outgoing_message import PROTOCOL_VERSION, Message, make_message
+from simvehicle.hil.outgoing_message import Message, make_message
 from simvehicle.sensors.readings import BatteryReading, GpsReading
 from simvehicle.vehicles.body import Truth
 
@@ -264,7 +264,7 @@ def current_mode(snapshot: Snapshot) -> Message:
 
 def protocol_version() -> Message:
     """Both MAVLink 1 and 2 are accepted, 2 is sent."""
-    return PROTOCOL_VERSION, {"version": 200, "min_version": 100, "max_version": 200}
+    return make_message("PROTOCOL_VERSION", version=200, min_version=100, max_version=200)
 
 
 def _heading_cdeg(snapshot: Snapshot) -> int:

@@ -5,8 +5,8 @@ intensities from Beard and McLain, Small Unmanned Aircraft, 2012, table 4.1.
 """
 
 import math
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,12 +53,17 @@ def pressure_altitude(pressure_pa: float) -> float:
     return _EARTH_RADIUS_M * h / (_EARTH_RADIUS_M - h)
 
 
-@dataclass(frozen=True, slots=True)
-class Gusts:
+class Gusts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Dryden turbulence along the body axes: standard deviations and length scales."""
 
     sigma_mps: tuple[float, float, float]
     length_m: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if min(self.sigma_mps) < 0.0:
+            raise ValueError(f"sigma_mps = {list(self.sigma_mps)} is negative; 0 or more")
+        if min(self.length_m) <= 0.0:
+            raise ValueError(f"length_m = {list(self.length_m)} is not positive; use metres > 0")
 
 
 # Start of the second-order filters in `filters`

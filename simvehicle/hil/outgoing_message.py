@@ -2,29 +2,9 @@
 
 from collections.abc import Mapping
 
-from mavproxy_fault.wire.dialect import Field, Layout, message_layout
+from mavproxy_fault.wire.dialect import Layout, message_layout
 
 Message = tuple[Layout, Mapping[str, object]]
-
-# Not in pymavlink; from MAVLink's standard.xml, CRC extra 217
-PROTOCOL_VERSION = Layout(
-    name="PROTOCOL_VERSION",
-    id=300,
-    crc_extra=217,
-    instance="",
-    fields={
-        name: Field(name, kind, count, "", False, offset)
-        for name, kind, count, offset in (
-            ("version", "uint16_t", 0, 0),
-            ("min_version", "uint16_t", 0, 2),
-            ("max_version", "uint16_t", 0, 4),
-            ("spec_version_hash", "uint8_t", 8, 6),
-            ("library_version_hash", "uint8_t", 8, 14),
-        )
-    },
-    length=22,
-    base_length=22,
-)
 
 
 def make_message(name: str, **values: object) -> Message:
