@@ -103,18 +103,9 @@ class MultirotorController:
         self.yaw_rad = math.nan
         self._heading: float | None = None
         self._integral = [0.0, 0.0, 0.0]
-        motor, rotors = vehicle.parameters.motor, vehicle.rotors
         moments = vehicle.parameters.inertia_kgm2
         self._body = np.array([vehicle.parameters.mass_kg, moments.jx, moments.jy, moments.jz])
-        effect = np.array(
-            [
-                np.ones(len(rotors)),
-                -rotors[:, 1],
-                rotors[:, 0],
-                rotors[:, 2] * motor.torque_per_thrust_m,
-            ]
-        )
-        self._allocation = np.ascontiguousarray(np.linalg.pinv(effect))
+        self._allocation = np.ascontiguousarray(np.linalg.pinv(vehicle.thrust_effects))
 
     def circle(
         self, north_m: float, east_m: float, height_m: float, speed_mps: float
