@@ -25,6 +25,7 @@ import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector import Detector
+from analysis.detection.detector_registry import RowResults
 from analysis.detection.detector_state import DetectorState
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.sensors.sensor_models import (
@@ -194,7 +195,7 @@ class NavigationDetector:
         block: Block,
         decided: Sequence[EpochReference],
         states: SensorStates,
-    ) -> tuple[list[tuple[int, SensorDecision]], SensorStates]:
+    ) -> tuple[RowResults, SensorStates]:
         """The sensors' tests at some decisions."""
         called = {row: (decision, after) for row, decision, after in decided}
         rows = sorted({*np.flatnonzero(_OF_SENSORS[block.kind]).tolist(), *called})
@@ -203,7 +204,7 @@ class NavigationDetector:
             return [], states
         # A copy is changed in place; the given state is not.
         states = states.copy()
-        found: list[tuple[int, SensorDecision]] = []
+        found: RowResults = []
         rates_rps, begin = np.linalg.norm(block.values[imu, :3], axis=1), 0
         for row in rows:
             kind, t_us = int(block.kind[row]), int(block.t_us[row])
@@ -322,10 +323,6 @@ def _untested(t_us: int, name: str, state: SensorState, reason: str) -> SensorDe
     return SensorDecision(
         t_us=t_us,
         sensor=name,
-        statistic=None,
-        threshold=None,
-        dof=0,
-        alarm=False,
         isolated=state.isolated,
         reason=reason,
     )
