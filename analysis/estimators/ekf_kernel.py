@@ -44,17 +44,19 @@ FP = 3  # column at which F P begins, after three columns of F
 
 
 class Tuning(NamedTuple):
-    """Noise densities of gyro [rad/s/rt(Hz)], gyro bias and acceleration; variances of velocity,
-    heading and gravity; period of the gravity update and GPS timeout in s."""
+    """Noise densities and variances of the measurements; period of the gravity update, GPS timeout.
 
-    gyro_density: float
-    bias_density: float
-    accel_density: float
-    velocity_variance: float
-    heading_variance: float
-    gravity_variance: float
-    gravity_period_s: float
-    gps_timeout_s: float
+    The defaults suit a small vehicle's MEMS sensors with their vibration.
+    """
+
+    gyro_density: float = 2e-3  # rad/s/sqrt(Hz)
+    bias_density: float = 2e-4  # rad/s^2/sqrt(Hz)
+    accel_density: float = 0.05  # m/s^2/sqrt(Hz)
+    velocity_variance: float = 0.2**2  # (m/s)^2
+    heading_variance: float = 0.05**2  # rad^2
+    gravity_variance: float = 1.0  # (m/s^2)^2
+    gravity_period_s: float = 0.1
+    gps_timeout_s: float = 2.0
 
 
 @compiled
