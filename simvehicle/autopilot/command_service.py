@@ -16,14 +16,13 @@ from simvehicle.autopilot.flight_goals import CommandedFlight
 from simvehicle.autopilot.mode_list import available_modes
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.streams import Streams
-from simvehicle.autopilot.telemetry import Snapshot, protocol_version
+from simvehicle.autopilot.telemetry import Snapshot
 from simvehicle.hil.outgoing_message import Message, make_message
 
 FORCE_ARMING = 21196  # MAV_CMD_COMPONENT_ARM_DISARM.param2: arm or disarm in any state
 FAILURE_MOTOR = 101  # FAILURE_UNIT_SYSTEM_MOTOR
 FAILURE_OK, FAILURE_OFF = 0, 1  # FAILURE_TYPE
 AVAILABLE_MODES = message_layout("AVAILABLE_MODES").id
-PROTOCOL_VERSION = message_layout("PROTOCOL_VERSION").id
 POSITION_UNKNOWN = 0x7FFFFFFF  # COMMAND_INT.x, .y: keep the current position
 
 
@@ -74,7 +73,9 @@ class Commands:
             Command.GET_MESSAGE_INTERVAL: self._get_interval,
             Command.SET_MESSAGE_INTERVAL: self._set_interval,
             Command.REQUEST_MESSAGE: self._request_message,
-            Command.REQUEST_PROTOCOL_VERSION: lambda request, snapshot: [protocol_version()],
+            Command.REQUEST_PROTOCOL_VERSION: lambda request, snapshot: [
+                telemetry.protocol_version(snapshot)
+            ],
             Command.REQUEST_AUTOPILOT_CAPABILITIES: lambda request, snapshot: [
                 telemetry.autopilot_version(snapshot)
             ],
@@ -169,8 +170,6 @@ class Commands:
 
     def _request_message(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         number, index = integer_parameter(request.params[0]), integer_parameter(request.params[1])
-        if number == PROTOCOL_VERSION:
-            return [protocol_version()]
         # The modes are listed by index and not streamed.
         if number == AVAILABLE_MODES:
             return available_modes(max(index, 0)) or CommandResult.UNSUPPORTED

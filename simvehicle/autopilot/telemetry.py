@@ -262,7 +262,7 @@ def current_mode(snapshot: Snapshot) -> Message:
     )
 
 
-def protocol_version() -> Message:
+def protocol_version(snapshot: Snapshot) -> Message:
     """Both MAVLink 1 and 2 are accepted, 2 is sent."""
     return make_message("PROTOCOL_VERSION", version=200, min_version=100, max_version=200)
 

@@ -152,6 +152,12 @@ def vision_position_estimate(reading: VisionReading, t_us: int) -> Message:
     }
 
 
+def drawn_mah(before: BatteryReading | None, reading: BatteryReading) -> float:
+    """The charge drawn from a battery between two readings [mAh]."""
+    hours = 0.0 if before is None else (reading.t_us - before.t_us) / 3.6e9
+    return reading.current_a * 1e3 * hours
+
+
 def battery_status(reading: BatteryReading, consumed_mah: float) -> Message:
     """BATTERY_STATUS: the battery pack as one cell."""
     return BATTERY_STATUS, {

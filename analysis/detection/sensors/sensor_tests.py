@@ -31,7 +31,6 @@ from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.sensors.sensor_models import (
     MODELS,
     FilterView,
-    SensorNoise,
     SlowStates,
     view_filter,
 )
@@ -134,7 +133,6 @@ class NavigationDetector:
     """The detector, and the tests of the other sensors with its filter."""
 
     config: DetectorConfig = field(default_factory=DetectorConfig)
-    sensors: SensorNoise = field(default_factory=SensorNoise)
 
     @cached_property
     def detector(self) -> Detector:
@@ -142,16 +140,12 @@ class NavigationDetector:
         return Detector(self.config)
 
     @cached_property
-    def _noise(self) -> dict[str, tuple[float, float, float]]:
-        return self.sensors.of_sensors()
-
-    @cached_property
     def _thresholds(self) -> list[float]:
         return [0.0, *(chi_square_threshold(dof, self.config.p_other) for dof in (1, 2, 3))]
 
     def new_state(self) -> NavigationState:
         """No sample has come yet."""
-        sensors = {name: SensorState(sigma**2) for name, (sigma, _, _) in self._noise.items()}
+        sensors = {name: SensorState(model.sigma**2) for name, model in MODELS.items()}
         return NavigationState(self.detector.new_state(), SensorStates(sensors))
 
     def step(
@@ -257,12 +251,13 @@ class NavigationDetector:
         self, name: str, state: SensorState, view: FilterView, epoch_us: int, stamp_us: int
     ) -> SensorDecision | None:
         """One sensor's test; None if it only started its slow states."""
-        sigma, least_sigma, walk = self._noise[name]
-        sigma = min(sigma, max(least_sigma, math.sqrt(state.variance)))
+        model = MODELS[name]
+        sigma = min(model.sigma, max(model.least_sigma, math.sqrt(state.variance)))
         slow, late_s = state.slow, (epoch_us - stamp_us) * 1e-6
         # A fix comes later than its stamp; a result is not older than its sample.
         t_us = max(epoch_us, stamp_us)
-        outcome = MODELS[name](state.z, view, None if slow is None else slow.b, late_s, sigma)
+        known = None if slow is None else slow.b
+        outcome = model.innovation(state.z, view, known, late_s, sigma)
         if isinstance(outcome, str):
             return _untested(t_us, name, state, outcome)
         elapsed_s = max((epoch_us - state.slow_us) * 1e-6, 0.0)
@@ -272,7 +267,7 @@ class NavigationDetector:
             state.slow = outcome
             return None
         v, r, h = outcome
-        p = slow.p + walk**2 * elapsed_s * np.eye(len(slow.b))
+        p = slow.p + model.walk**2 * elapsed_s * np.eye(len(slow.b))
         ph = p @ h.T
         inverse = invert_positive_definite(h @ ph + r)
         statistic, threshold = float(v @ inverse @ v), self._thresholds[len(v)]
