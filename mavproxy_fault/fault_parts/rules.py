@@ -12,15 +12,12 @@ draws.
 """
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
-from mavproxy_fault.fault_parts.fault import LinkFault, Outgoing
+from mavproxy_fault.fault_parts.fault import Generator, LinkFault, Outgoing
 from mavproxy_fault.fault_parts.memory import ARENA, NO_MEMORY, Memory
 from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.wire.frame import STX_V2, Frame, Number
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 Numbers = Sequence[float]
 Rule = Callable[..., Any]
@@ -112,7 +109,7 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
         return memory
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Memory, rng: "Generator"
+        self, frame: Frame | bytes, t_us: int, state: Memory, rng: Generator
     ) -> tuple[list[Outgoing], Memory]:
         """Apply the rule to the frame."""
         u, *more = getattr(rng, self.drawn)(self.draw_count).tolist() if self.drawn else (0.0,)

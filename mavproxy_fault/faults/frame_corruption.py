@@ -1,17 +1,14 @@
 """Corrupted frames: wrong bytes, truncation, gaps in the sequence number."""
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from mavproxy_fault.fault_parts.fault import LinkFault, Outgoing
+from mavproxy_fault.fault_parts.fault import Generator, LinkFault, Outgoing
 from mavproxy_fault.fault_parts.rules import Drawn, Effect, Numbers, RuleLinkFault, link_rule
 from mavproxy_fault.faults.loss import Share, ShareFault
 from mavproxy_fault.faults.timing import choose_share
 from mavproxy_fault.wire.frame import Frame
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 
 class Corrupt(LinkFault, frozen=True, kw_only=True):
@@ -28,7 +25,7 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
     crc: Literal["left", "redone"] = "left"
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: Generator
     ) -> tuple[list[Outgoing], Any]:
         """Replace some bytes, each by a different value."""
         # No random draw if every frame is affected.
@@ -44,7 +41,7 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
         raw = frame.raw[: frame.payload_at] + payload + frame.raw[end:]
         return [Outgoing(t_us, raw)], None
 
-    def _mixed(self, data: bytes, rng: "Generator") -> bytes:
+    def _mixed(self, data: bytes, rng: Generator) -> bytes:
         mixed = bytearray(data)
         places = rng.choice(len(mixed), min(self.count, len(mixed)), replace=False)
         # From 1, since XOR with 0 would change nothing.
