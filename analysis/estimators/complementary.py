@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.estimator import (
     MAX_GAP_S,
@@ -36,7 +35,7 @@ from analysis.samples.block import (
     Stamps,
     block_of,
 )
-from analysis.samples.sample import Sample
+from analysis.samples.sample import Sample, Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation_kernel import (
@@ -46,7 +45,6 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
     rotation_matrix,
 )
 
-Vector = NDArray[np.float64]
 BIAS, SIZE = 4, 7  # start of the bias in x; length of x
 STATE, FIELD = 0, 1  # stamps: of the state, of the newest field sample
 

@@ -15,14 +15,11 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators import ekf_kernel
 from analysis.estimators.estimator import AttitudeEstimate, Prior
 from analysis.samples.block import Block, Stamps, block_of
-from analysis.samples.sample import Sample
-
-Vector = NDArray[np.float64]
+from analysis.samples.sample import Sample, Vector
 
 
 class EkfState(NamedTuple):

@@ -22,6 +22,7 @@ from analysis.samples.block import (
     Indices,
     Stamps,
 )
+from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation_kernel import (
@@ -32,7 +33,6 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
     wrap_angle,
 )
 
-Vector = NDArray[np.float64]
 BIAS, VELOCITY, P = 4, 7, 10  # offsets in x, after the quaternion
 N = 9  # error states: attitude, bias, velocity
 D_BIAS, D_VELOCITY = 3, 6  # offsets in the error state

@@ -21,11 +21,10 @@ from math import cos, sin
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior, empty_estimates
 from analysis.samples.block import FORCE, IMU, IMU_ID, Block, Indices, Stamps, block_of
-from analysis.samples.sample import Sample
+from analysis.samples.sample import Sample, Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation_kernel import (
@@ -34,7 +33,6 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
     rotation_matrix,
 )
 
-Vector = NDArray[np.float64]
 VELOCITY, POSITION, SIZE = 3, 6, 9  # offsets in x, after the angles; length of x
 MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at a pitch of 90 degrees
 

@@ -7,15 +7,12 @@ intensities from Beard and McLain, Small Unmanned Aircraft, 2012, table 4.1.
 import math
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_ned
 from simvehicle.vehicles.rigidbody_kernel import E0, E1, E2, E3
-
-Array = NDArray[np.float64]
 
 SEA_LEVEL_PA = 101325.0
 SEA_LEVEL_K = 288.15

@@ -8,8 +8,8 @@ Kumar, ICRA 2011), and those the motor commands by the pseudoinverse of the roto
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
@@ -19,7 +19,6 @@ from simvehicle.sensors.readings import Triple
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
-Array = NDArray[np.float64]
 _TRACK_GAIN = 1.0  # 1/s, cross-track error to closing speed
 _SPEED_GAIN = 2.5  # 1/s, velocity error to acceleration
 _INTEGRAL_GAIN = 0.8  # 1/s^2

@@ -5,13 +5,12 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from simvehicle.vehicles.parameter_file import VehicleParameters, body_inertia, read_parameters
 from simvehicle.vehicles.rigidbody_kernel import RIGID_SIZE, Inertia
 from simvehicle.vehicles.vehicle import LOAD_SIZE
 
-Array = NDArray[np.float64]
 Parameters = TypeVar("Parameters", bound=VehicleParameters)
 
 

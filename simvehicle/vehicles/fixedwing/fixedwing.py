@@ -8,8 +8,8 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat, quat_from_euler
 from simvehicle.vehicles.compiled_vehicle import CompiledVehicle
 from simvehicle.vehicles.contact_kernel import Gear
@@ -26,8 +26,6 @@ from simvehicle.vehicles.fixedwing.fixedwing_parameters import (
 )
 from simvehicle.vehicles.fixedwing.trim import TrimPoint, find_trim
 from simvehicle.vehicles.rigidbody_kernel import RIGID_SIZE
-
-Array = NDArray[np.float64]
 
 
 class FixedWing(CompiledVehicle[FixedWingParameters]):

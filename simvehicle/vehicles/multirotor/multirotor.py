@@ -10,8 +10,8 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from simvehicle.vehicles.compiled_vehicle import CompiledVehicle
 from simvehicle.vehicles.contact_kernel import Gear, make_gear
@@ -22,8 +22,6 @@ from simvehicle.vehicles.multirotor.multirotor_flight import (
 )
 from simvehicle.vehicles.parameter_file import ParameterSection, VehicleParameters
 from simvehicle.vehicles.rigidbody_kernel import RIGID_SIZE
-
-Array = NDArray[np.float64]
 
 
 class Rotor(ParameterSection, frozen=True):
