@@ -71,13 +71,9 @@ class Multirotor(CompiledVehicle[MultirotorParameters]):
         self.controls_count = len(parameters.rotors)
         # Motor speeds, current and drawn charge
         self.further_states = self.controls_count + 2
-        self.frame = Airframe(
-            *msgspec.structs.astuple(parameters.motor),
-            parameters.drag_area_m2,
-            parameters.damping_nms,
-            plant.get("load_shift_x_m", 0.0),
-            plant.get("load_shift_y_m", 0.0),
-        )
+        body = (parameters.drag_area_m2, parameters.damping_nms)
+        shift_m = (plant.get("load_shift_x_m", 0.0), plant.get("load_shift_y_m", 0.0))
+        self.frame = Airframe._make((*msgspec.structs.astuple(parameters.motor), *body, *shift_m))
         # Skids: equal friction in both directions.
         self.gear: Gear = make_gear(np.array(parameters.gear_m), parameters.mass_kg, 0.6, 0.6)
         self.rotors = np.array(
