@@ -17,8 +17,7 @@ from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.streams import Streams
 from simvehicle.autopilot.telemetry import Snapshot
 from simvehicle.hil.hil_frames import START_US
-from simvehicle.hil.hil_messages import drawn_mah
-from simvehicle.hil.outgoing_message import Message, make_message
+from simvehicle.hil.hil_messages import Message, drawn_mah, make_message
 from simvehicle.sensors.readings import BatteryReading, GpsReading, Reading
 from simvehicle.vehicles.body import Truth
 

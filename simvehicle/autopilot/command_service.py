@@ -13,11 +13,10 @@ from mavproxy_fault.wire.frame import Frame as WireFrame
 from simvehicle.autopilot import telemetry
 from simvehicle.autopilot.enums import BaseMode, Command, CommandResult, CoordinateFrame, FlightMode
 from simvehicle.autopilot.flight_goals import CommandedFlight
-from simvehicle.autopilot.mode_list import available_modes
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.streams import Streams
-from simvehicle.autopilot.telemetry import Snapshot
-from simvehicle.hil.outgoing_message import Message, make_message
+from simvehicle.autopilot.telemetry import Snapshot, available_modes
+from simvehicle.hil.hil_messages import Message, make_message
 
 FORCE_ARMING = 21196  # MAV_CMD_COMPONENT_ARM_DISARM.param2: arm or disarm in any state
 FAILURE_MOTOR = 101  # FAILURE_UNIT_SYSTEM_MOTOR

@@ -21,7 +21,7 @@ from simvehicle.autopilot.enums import Command, FlightMode, LandedState
 from simvehicle.autopilot.mission_service import MissionItem, Missions
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.telemetry import HomePosition
-from simvehicle.hil.outgoing_message import Message, make_message, statustext
+from simvehicle.hil.hil_messages import Message, make_message, statustext
 from simvehicle.vehicles.body import Truth
 
 HEIGHT_TOLERANCE_M = 1.0

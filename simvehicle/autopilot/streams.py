@@ -5,7 +5,7 @@ from collections.abc import Callable
 from mavproxy_fault.wire.dialect import find_layout, message_layout
 from simvehicle.autopilot import telemetry
 from simvehicle.autopilot.telemetry import Snapshot
-from simvehicle.hil.outgoing_message import Message
+from simvehicle.hil.hil_messages import Message
 
 SECOND_US = 1_000_000
 # Name -> the function that builds it and its default interval in us (0: on request only)

@@ -17,7 +17,7 @@ from mavproxy_fault.wire.dialect import Layout, message_layout
 from mavproxy_fault.wire.frame import build_frame
 from simvehicle.hil import hil_messages
 from simvehicle.hil.frame_kernel import IDS, PACKER, pack_sensors, pack_truth
-from simvehicle.hil.outgoing_message import Message
+from simvehicle.hil.hil_messages import Message
 from simvehicle.sensors.flight_record import Board
 from simvehicle.sensors.readings import (
     BatteryReading,
