@@ -62,7 +62,7 @@ class Saturate(RuleFault, frozen=True, kw_only=True):
         return low, width if self.high is None else self.high
 
     def numbers(self, count: int) -> list[Numbers]:
-        """Return the range."""
+        """Return the lowest and the highest value."""
         return [self._range()] * count
 
 

@@ -34,7 +34,7 @@ class Delay(RuleLinkFault, frozen=True, kw_only=True):
     value: Seconds
 
     def numbers(self) -> Numbers:
-        """Return share and delay."""
+        """Return the share of the frames (all) and the delay, microseconds."""
         return 1.0, float(round(self.value * 1e6))
 
 
@@ -99,7 +99,7 @@ class Reorder(RuleLinkFault, frozen=True, kw_only=True):
     by_s: Seconds = 0.05
 
     def numbers(self) -> Numbers:
-        """Return share and delay."""
+        """Return the share of the frames and the delay, microseconds."""
         return self.value, float(round(self.by_s * 1e6))
 
 
@@ -115,5 +115,5 @@ class Duplicate(ShareFault, frozen=True, kw_only=True):
     by_s: Seconds = 0.0
 
     def numbers(self) -> Numbers:
-        """Return share, number of copies, and the delay of the last one."""
+        """Return share, number of copies, and the delay of the last one, microseconds."""
         return self.value, float(self.copies), float(round(self.by_s * 1e6))

@@ -58,7 +58,9 @@ class Gusts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def __post_init__(self) -> None:
         if min(self.sigma_mps) < 0.0:
-            raise ValueError(f"sigma_mps = {list(self.sigma_mps)} is negative; 0 or more")
+            raise ValueError(
+                f"sigma_mps = {list(self.sigma_mps)} is negative; 0 or more is allowed"
+            )
         if min(self.length_m) <= 0.0:
             raise ValueError(f"length_m = {list(self.length_m)} is not positive; use metres > 0")
 

@@ -202,7 +202,10 @@ class Scenario(_Section, frozen=True):
         if kind == "multirotor" and (weave is None or controls != OpenLoopControls(weave=weave)):
             raise ValueError("controls of a multirotor have weave only; remove the others")
         if weave is not None and (weave.airspeed_mps is None) != (kind == "multirotor"):
-            raise ValueError("set controls.weave.airspeed_mps for a fixed wing and no other")
+            raise ValueError(
+                "controls.weave.airspeed_mps is for a fixed wing only, which needs it; "
+                f"{'remove' if kind == 'multirotor' else 'add'} it"
+            )
 
 
 def open_scenario(path: str | Path | None) -> Document:
