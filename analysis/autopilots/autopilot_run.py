@@ -46,8 +46,7 @@ from analysis.run.run_command import RECORD_PERIOD_US, write_flight_report
 from analysis.run.run_setup import RunSetup, setup_from_args
 from analysis.run.stop_signal import StopCheck, stop_requests
 from analysis.run.terminal_summary import show_summary
-from analysis.run.unmatched_faults import report_unmatched_faults
-from analysis.run.vehicle_judging import judge_vehicle_of_run
+from analysis.run.vehicle_judging import judge_vehicle_of_run, report_unmatched_faults
 from analysis.scoring.criteria import CriterionCheck
 from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.compiled.passage import new_passage

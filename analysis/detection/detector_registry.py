@@ -9,6 +9,7 @@ from analysis.results import SensorDecision
 from analysis.samples.block import Block
 
 GROUP = "mavproxy_fault.detectors"
+RowResults = list[tuple[int, SensorDecision]]  # each with its row of the block
 
 
 class BlockDetector(msgspec.Struct, frozen=True):
@@ -16,16 +17,18 @@ class BlockDetector(msgspec.Struct, frozen=True):
 
     `channels` are the sensors that its results name. `sees` are channels, messages or targets
     (`baro`, `BATTERY_STATUS`, `PLANT.mass_kg`): a fault of one of them can be detected here.
+    `state` is the class of its state, whose defaults are those before the first sample.
     """
 
     channels: ClassVar[frozenset[str]] = frozenset()
     sees: ClassVar[frozenset[str]] = frozenset()
+    state: ClassVar[type[Any] | None] = None
 
     def new_state(self) -> Any:
         """The state before the first sample."""
-        return None
+        return None if self.state is None else self.state()
 
-    def step(self, block: Block, state: Any) -> tuple[list[tuple[int, SensorDecision]], Any]:
+    def step(self, block: Block, state: Any) -> tuple[RowResults, Any]:
         """The results of the next samples, each with its row of the block, and the next state."""
         raise NotImplementedError
 

@@ -1,7 +1,7 @@
 """Complementary filters: gyro for the high frequencies, gravity and magnetic field for the low.
 
 `Mahony` is the explicit complementary filter with bias on the rotation group [1]_; with its
-integral gain at zero it is the plain complementary filter, whose crossover lies at `tilt_gain`
+integral gain at zero it is the plain complementary filter, whose crossover lies at the tilt gain in
 rad/s. The centripetal acceleration, airspeed times rate, is removed from the specific force, as
 that work proposes for fixed wings; the field corrects the heading only, so that a magnetic fault
 cannot disturb roll and pitch.
@@ -11,11 +11,10 @@ References
 .. [1] Mahony, Hamel and Pflimlin, IEEE Trans. Automatic Control 53(5), 2008, equation 48.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.estimator import (
     MAX_GAP_S,
@@ -36,7 +35,7 @@ from analysis.samples.block import (
     Stamps,
     block_of,
 )
-from analysis.samples.sample import Sample
+from analysis.samples.sample import Sample, Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation_kernel import (
@@ -46,7 +45,6 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
     rotation_matrix,
 )
 
-Vector = NDArray[np.float64]
 BIAS, SIZE = 4, 7  # start of the bias in x; length of x
 STATE, FIELD = 0, 1  # stamps: of the state, of the newest field sample
 
@@ -54,9 +52,9 @@ STATE, FIELD = 0, 1  # stamps: of the state, of the newest field sample
 class Gains(NamedTuple):
     """Gains of tilt and heading in 1/s, of the bias in 1/s^2."""
 
-    tilt: float
-    heading: float
-    bias: float
+    tilt: float = 0.5
+    heading: float = 0.5
+    bias: float = 0.02
 
 
 class FilterState(NamedTuple):
@@ -143,16 +141,9 @@ def filter_block(
 
 @dataclass(frozen=True, slots=True)
 class Mahony:
-    """Gains in 1/s (bias gain in 1/s^2)."""
+    """The explicit complementary filter with its gains."""
 
-    tilt_gain: float = 0.5
-    heading_gain: float = 0.5
-    bias_gain: float = 0.02
-
-    @property
-    def gains(self) -> Gains:
-        """The gains for the kernel."""
-        return Gains(self.tilt_gain, self.heading_gain, self.bias_gain)
+    gains: Gains = field(default=Gains())
 
     def start(self, prior: Prior) -> FilterState:
         """The prior's attitude, no bias."""
@@ -185,4 +176,4 @@ class Mahony:
 def complementary() -> Mahony:
     """The plain complementary filter: no bias, crossover at 0.5 rad/s."""
     # Without its integral term Mahony's filter is the plain one.
-    return Mahony(bias_gain=0.0)
+    return Mahony(Gains(bias=0.0))

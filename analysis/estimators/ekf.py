@@ -11,18 +11,15 @@ References
 .. [1] Sola, Quaternion kinematics for the error-state Kalman filter, 2017, section 5.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators import ekf_kernel
 from analysis.estimators.estimator import AttitudeEstimate, Prior
 from analysis.samples.block import Block, Stamps, block_of
-from analysis.samples.sample import Sample
-
-Vector = NDArray[np.float64]
+from analysis.samples.sample import Sample, Vector
 
 
 class EkfState(NamedTuple):
@@ -41,19 +38,9 @@ class EkfState(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Ekf:
-    """Noise densities per root hertz, and one-sigma values of the measurements.
+    """The noise that it assumes, and one sigma of its first attitude, bias and velocity."""
 
-    The defaults suit a small vehicle's MEMS sensors with their vibration.
-    """
-
-    gyro_density: float = 2e-3  # rad/s/sqrt(Hz)
-    bias_density: float = 2e-4  # rad/s^2/sqrt(Hz)
-    accel_density: float = 0.05  # m/s^2/sqrt(Hz)
-    velocity_sigma_mps: float = 0.2
-    heading_sigma_rad: float = 0.05
-    gravity_sigma_mps2: float = 1.0
-    gravity_period_s: float = 0.1
-    gps_timeout_s: float = 2.0
+    tuning: ekf_kernel.Tuning = field(default=ekf_kernel.Tuning())
     start_sigma: tuple[float, float, float] = (0.05, 0.05, 0.5)  # rad, rad/s, m/s
 
     def start(self, prior: Prior) -> EkfState:
@@ -62,7 +49,7 @@ class Ekf:
         sigma = np.repeat(self.start_sigma, 3)
         # The bias is unknown at start, so that it begins at zero with its sigma.
         x = np.concatenate([prior.q_nb, np.zeros(3), prior.v_ned_mps, np.diag(sigma**2).ravel()])
-        timeout_us = round(self.gps_timeout_s * 1e6)
+        timeout_us = round(self.tuning.gps_timeout_s * 1e6)
         # The last velocity counts as timed out: gravity is used until the first GPS fix.
         return EkfState(
             prior.t_us, x, 0.0, prior.declination_rad, prior.t_us - timeout_us, prior.t_us
@@ -89,17 +76,3 @@ class Ekf:
         now_us, gps_t_us, tilt_t_us = stamps.tolist()
         after = EkfState(now_us, x, airspeed_mps, state.declination_rad, gps_t_us, tilt_t_us)
         return t_us, q_nb, after
-
-    @property
-    def tuning(self) -> ekf_kernel.Tuning:
-        """The parameters for the kernel."""
-        return ekf_kernel.Tuning(
-            self.gyro_density,
-            self.bias_density,
-            self.accel_density,
-            self.velocity_sigma_mps**2,
-            self.heading_sigma_rad**2,
-            self.gravity_sigma_mps2**2,
-            self.gravity_period_s,
-            self.gps_timeout_s,
-        )

@@ -22,6 +22,7 @@ from analysis.samples.block import (
     Indices,
     Stamps,
 )
+from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation_kernel import (
@@ -32,7 +33,6 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
     wrap_angle,
 )
 
-Vector = NDArray[np.float64]
 BIAS, VELOCITY, P = 4, 7, 10  # offsets in x, after the quaternion
 N = 9  # error states: attitude, bias, velocity
 D_BIAS, D_VELOCITY = 3, 6  # offsets in the error state
@@ -44,17 +44,19 @@ FP = 3  # column at which F P begins, after three columns of F
 
 
 class Tuning(NamedTuple):
-    """Noise densities of gyro [rad/s/rt(Hz)], gyro bias and acceleration; variances of velocity,
-    heading and gravity; period of the gravity update and GPS timeout in s."""
+    """Noise densities and variances of the measurements; period of the gravity update, GPS timeout.
 
-    gyro_density: float
-    bias_density: float
-    accel_density: float
-    velocity_variance: float
-    heading_variance: float
-    gravity_variance: float
-    gravity_period_s: float
-    gps_timeout_s: float
+    The defaults suit a small vehicle's MEMS sensors with their vibration.
+    """
+
+    gyro_density: float = 2e-3  # rad/s/sqrt(Hz)
+    bias_density: float = 2e-4  # rad/s^2/sqrt(Hz)
+    accel_density: float = 0.05  # m/s^2/sqrt(Hz)
+    velocity_variance: float = 0.2**2  # (m/s)^2
+    heading_variance: float = 0.05**2  # rad^2
+    gravity_variance: float = 1.0  # (m/s^2)^2
+    gravity_period_s: float = 0.1
+    gps_timeout_s: float = 2.0
 
 
 @compiled

@@ -10,14 +10,12 @@ from math import sqrt
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.samples.block import ATTITUDE, IMU, TRUTH, Block, Indices, Stamps
-from analysis.samples.sample import Sample
+from analysis.samples.sample import Sample, Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 
-Vector = NDArray[np.float64]
 MAX_GAP_S = 0.5  # longer gaps are not integrated: at 1 rad/s they hide 30 degrees
 
 

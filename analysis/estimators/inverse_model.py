@@ -21,11 +21,10 @@ from math import cos, sin
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior
+from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior, empty_estimates
 from analysis.samples.block import FORCE, IMU, IMU_ID, Block, Indices, Stamps, block_of
-from analysis.samples.sample import Sample
+from analysis.samples.sample import Sample, Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation_kernel import (
@@ -34,7 +33,6 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
     rotation_matrix,
 )
 
-Vector = NDArray[np.float64]
 VELOCITY, POSITION, SIZE = 3, 6, 9  # offsets in x, after the angles; length of x
 MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at a pitch of 90 degrees
 
@@ -82,10 +80,7 @@ def integrate_block(
     `before` (6,) is the IMU sample at `now_us`, NaN where it is unknown. Returns stamps (m,) and
     q_nb (m, 4) after each IMU sample, then the state.
     """
-    count = 0
-    for i in range(len(kind)):
-        count += kind[i] == IMU
-    when, q_nb = np.empty(count, np.int64), np.empty((count, 4))
+    when, q_nb = empty_estimates(kind)
     done = 0
     for i in range(len(kind)):
         if kind[i] != IMU:

@@ -11,13 +11,10 @@ from math import cos, sin
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior
-from analysis.samples.sample import ImuSample, MagSample, Sample
+from analysis.samples.sample import ImuSample, MagSample, Sample, Vector
 from mavproxy_fault.documents.extras import import_extra, require_extra
-
-Vector = NDArray[np.float64]
 
 
 class MadgwickState(NamedTuple):

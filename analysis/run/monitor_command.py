@@ -28,8 +28,7 @@ from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
 from analysis.run.stop_signal import StopCheck, stop_requests
 from analysis.run.terminal_summary import show_summary
-from analysis.run.unmatched_faults import report_unmatched_faults
-from analysis.run.vehicle_judging import add_requirements
+from analysis.run.vehicle_judging import add_requirements, report_unmatched_faults
 from analysis.samples.block import Block
 from analysis.samples.link_buffer import LinkBuffer
 from analysis.scoring.criteria import Criteria, CriterionCheck, receiver_criteria

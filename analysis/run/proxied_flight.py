@@ -68,7 +68,7 @@ class ProxiedFlight:
         self._out = [0] * len(LINKS)  # datagrams sent on each link
         self._hil = HilPacker(self.simulation.board, mav_type=mav_type_and_mix(self.simulation)[0])
         self._services, self._pilot = create_services(self.simulation)
-        self._plant = PlantChanges(self.simulation, LOG.warning)
+        self._plant = PlantChanges(self.simulation.plant, LOG.warning)
         self._commands = self._actuator_commands(schedule)
         self._parser = Parser()
         self._start_us = round(scenario.start.time.timestamp() * 1e6)

@@ -19,8 +19,7 @@ from analysis.run.reference_flight import REFERENCE_FOLDER, start_reference_flig
 from analysis.run.run_setup import setup_from_args
 from analysis.run.stop_signal import stop_requests
 from analysis.run.terminal_summary import show_summary
-from analysis.run.unmatched_faults import report_unmatched_faults
-from analysis.run.vehicle_judging import judge_vehicle_of_run
+from analysis.run.vehicle_judging import judge_vehicle_of_run, report_unmatched_faults
 from analysis.work_progress import WorkProgress
 from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.links.bus import open_run_bus

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.detection.actuators.effects import (
     AIRSPEED,
@@ -23,6 +22,7 @@ from analysis.detection.actuators.effects import (
     TERMS,
     Effects,
 )
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.constants import (
     SEA_LEVEL_DENSITY_KGPM3,
     STANDARD_GRAVITY_MPS2,
@@ -34,7 +34,6 @@ from simvehicle.simulation.vehicle_kinds import find_vehicle_kind
 from simvehicle.vehicles.rigidbody_kernel import E0, RIGID_SIZE, P, U
 from simvehicle.vehicles.vehicle import SURROUNDINGS_SIZE, pack_surroundings
 
-Array = NDArray[np.float64]
 STEPS, STEP_S = 30, 5e-3  # 0.15 s, six time constants of a slow motor
 HEIGHT_M = 100.0  # free of ground contact
 COMMAND_STEP, RATE_STEP_RPS, SPEED_STEP_MPS = 0.05, 0.05, 0.5

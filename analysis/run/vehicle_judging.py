@@ -1,4 +1,4 @@
-"""Add to the summary of a run what happened to the vehicle, and judge it by the criteria."""
+"""Add to the summary of a run what happened to the vehicle and which faults acted, and judge it."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,6 +19,7 @@ from analysis.scoring.criteria import (
     overall_verdict,
 )
 from analysis.scoring.requirements import RequirementResult
+from mavproxy_fault.schedule.entries import Schedule, never_acted
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.tlog import Columns
 
@@ -67,3 +68,12 @@ def add_checks(summary: dict[str, Any], checks: Sequence[CriterionCheck]) -> Non
         summary["criteria"] += [msgspec.structs.asdict(check) for check in checks]
         rows = [msgspec.convert(row, CriterionCheck) for row in summary["criteria"]]
         summary["verdict"] = overall_verdict(rows)
+
+
+def report_unmatched_faults(
+    summary: dict[str, Any], schedule: Schedule, labels: Sequence[Label]
+) -> None:
+    """Add faults that never acted to a summary; if no fault acted, PASS becomes NO VERDICT."""
+    summary["never_acted"] = never_acted(schedule, {label.id for label in labels})
+    if schedule.faults and not labels and summary["verdict"] == "PASS":
+        summary["verdict"] = "NO VERDICT"

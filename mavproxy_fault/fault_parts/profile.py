@@ -7,17 +7,15 @@ segments are open on the left and closed on the right, and the earlier one holds
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
 from mavproxy_fault.documents.document_check import NotFinite
+from mavproxy_fault.fault_parts.fault import Generator
 from mavproxy_fault.fault_parts.memory import ARENA, NO_MEMORY, Memory
 from mavproxy_fault.fault_parts.series import Series, SeriesTable
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 Mode = Literal["replace", "add", "scale"]
 MODES: dict[Mode, float] = {"add": 0.0, "scale": 1.0, "replace": 2.0}  # as numbers of a rule
@@ -42,7 +40,7 @@ class Draw(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if (self.uniform is None) == (self.normal is None):
             raise ValueError("a random number needs exactly one of uniform and normal")
 
-    def number(self, rng: "Generator") -> float:
+    def number(self, rng: Generator) -> float:
         """Draw the number."""
         if self.uniform is not None:
             return float(rng.uniform(*self.uniform))
@@ -144,7 +142,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         memory.write([float(len(self.segments)), *draw_segments(self.segments, rng)])
         return memory
 
-    def new_state(self, rng: "Generator") -> Any:
+    def new_state(self, rng: Generator) -> Any:
         """Return the initial state: an open series, or the memory of the other kinds."""
         return self.memory(rng) if self.table is None else Series(self.table)
 

@@ -12,15 +12,12 @@ draws.
 """
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
-from mavproxy_fault.fault_parts.fault import LinkFault, Outgoing
+from mavproxy_fault.fault_parts.fault import Generator, LinkFault, Outgoing
 from mavproxy_fault.fault_parts.memory import ARENA, NO_MEMORY, Memory
 from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.wire.frame import STX_V2, Frame, Number
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 Numbers = Sequence[float]
 Rule = Callable[..., Any]
@@ -45,19 +42,20 @@ def link_rule(function: Rule) -> Rule:
 
 
 class RuleFault(ValueFault, frozen=True, kw_only=True):
-    """A value fault with a rule; `remembers` is the count of numbers that it keeps per element."""
+    """A value fault with a rule.
+
+    The rule's parameters are the fields named in `parameters`. `remembers` is the count of numbers
+    that it keeps per element, `drawn` the kind of random number that it needs for each.
+    """
 
     rule: ClassVar[Any]
+    parameters: ClassVar[tuple[str, ...]] = ("value",)
     remembers: ClassVar[int] = 0
-
-    @property
-    def drawn(self) -> Drawn:
-        """The kind of random number that the rule needs for each element."""
-        return ""
+    drawn: ClassVar[Drawn] = ""
 
     def numbers(self, count: int) -> list[Numbers]:
         """Return the parameters of each of `count` elements."""
-        raise NotImplementedError
+        return [[float(getattr(self, name)) for name in self.parameters]] * count
 
     def new_memory(self, count: int, rng: Any) -> Memory:
         """Return the memory of one sender."""
@@ -86,23 +84,21 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
     """A fault of the link with a rule, which acts on each frame by one number.
 
     By `effect` that number is a delay in microseconds or `LOST`, a count of copies, of bytes that
-    are cut off, or an offset of the sequence number. `remembers` is the count of numbers that it
-    keeps per direction, `draw_count` that of the random numbers for a frame.
+    are cut off, or an offset of the sequence number. The rule's parameters are the fields named in
+    `parameters`. `remembers` is the count of numbers that it keeps per direction, `drawn` and
+    `draw_count` are kind and count of the random numbers for a frame.
     """
 
     rule: ClassVar[Rule]
+    parameters: ClassVar[tuple[str, ...]] = ("value",)
     effect: ClassVar[Effect] = "delay"
     remembers: ClassVar[int] = 0
+    drawn: ClassVar[Drawn] = ""
     draw_count: ClassVar[int] = 1
-
-    @property
-    def drawn(self) -> Drawn:
-        """The kind of random number that the rule needs."""
-        return ""
 
     def numbers(self) -> Numbers:
         """Return the parameters of the rule."""
-        return ()
+        return [float(getattr(self, name)) for name in self.parameters]
 
     def new_state(self, start_us: int) -> Memory:
         """Return the memory of one direction, which begins with the start time."""
@@ -113,7 +109,7 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
         return memory
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Memory, rng: "Generator"
+        self, frame: Frame | bytes, t_us: int, state: Memory, rng: Generator
     ) -> tuple[list[Outgoing], Memory]:
         """Apply the rule to the frame."""
         u, *more = getattr(rng, self.drawn)(self.draw_count).tolist() if self.drawn else (0.0,)

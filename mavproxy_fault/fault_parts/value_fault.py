@@ -14,7 +14,8 @@ from mavproxy_fault.fault_parts.fault import ActsOn
 from mavproxy_fault.fault_parts.units import Factors
 from mavproxy_fault.wire.frame import Number
 
-GYRO = "HIL_SENSOR.xgyro"  # target of the faults' examples
+GYRO = "HIL_SENSOR.xgyro"  # targets of the faults' examples
+GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
 MOST_SENDERS = 256  # chosen: bounds the memory against made-up senders; later ones are not faulted
 MOST_ROWS = 65_536  # stored past values per sender: 65 s at 1 kHz
 

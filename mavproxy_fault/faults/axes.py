@@ -4,6 +4,7 @@ import math
 from typing import Any, ClassVar
 
 from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
+from mavproxy_fault.fault_parts.value_fault import GYROS
 from mavproxy_fault.numerics.rotations.one_rotation import Matrix, body_matrix
 
 Three = tuple[float, float, float]
@@ -21,9 +22,7 @@ class AxisSwap(RuleFault, frozen=True, kw_only=True):
     """Permute the elements (default: in reverse order); `signs` may invert them."""
 
     name: ClassVar[str] = "axis-swap"
-    example: ClassVar[dict[str, Any]] = {
-        "target": ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
-    }
+    example: ClassVar[dict[str, Any]] = {"target": GYROS}
     rule = staticmethod(take_other)
 
     order: tuple[int, ...] | None = None
@@ -55,20 +54,26 @@ def multiply_row(
     return p[at] * x[0] + p[at + 1] * x[1] + p[at + 2] * x[2] + p[at + 3]
 
 
-class Rotation(RuleFault, frozen=True, kw_only=True):
+class VectorFault(RuleFault, frozen=True, kw_only=True):
+    """Base of faults that multiply three elements, as one vector, by a matrix."""
+
+    rule = staticmethod(multiply_row)
+
+    def __post_init__(self) -> None:
+        for listed in self.elements.values():
+            if len(listed) != 3:
+                raise ValueError(
+                    f"acts on three fields, not {len(listed)}; give x, y and z in target"
+                )
+
+
+class Rotation(VectorFault, frozen=True, kw_only=True):
     """Rotate three elements as one vector by roll, pitch and yaw (a misaligned sensor)."""
 
     name: ClassVar[str] = "rotation"
-    example: ClassVar[dict[str, Any]] = {
-        "target": ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"],
-        "angles_deg": [0, 0, 90],
-    }
-    rule = staticmethod(multiply_row)
+    example: ClassVar[dict[str, Any]] = {"target": GYROS, "angles_deg": [0, 0, 90]}
 
     angles_deg: Three
-
-    def __post_init__(self) -> None:
-        check_vector_target(self.elements)
 
     def numbers(self, count: int) -> list[Numbers]:
         """Return the rows of the matrix that a rotated sensor multiplies by."""
@@ -76,35 +81,15 @@ class Rotation(RuleFault, frozen=True, kw_only=True):
         return [(*row, 0.0) for row in body_matrix(roll, pitch, yaw)]
 
 
-class Iron(RuleFault, frozen=True, kw_only=True):
+class Iron(VectorFault, frozen=True, kw_only=True):
     """Multiply the field by soft iron (a 3 x 3 matrix) and add hard iron (an offset)."""
 
     name: ClassVar[str] = "iron"
-    example: ClassVar[dict[str, Any]] = {
-        "target": ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"],
-        "hard": [0.1, 0, 0],
-    }
-    rule = staticmethod(multiply_row)
+    example: ClassVar[dict[str, Any]] = {"target": GYROS, "hard": [0.1, 0, 0]}
 
     hard: Three = (0.0, 0.0, 0.0)
     soft: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
-    def __post_init__(self) -> None:
-        check_vector_target(self.elements)
-
     def numbers(self, count: int) -> list[Numbers]:
         """Return the rows of soft iron, each with its offset."""
         return [(*row, offset) for row, offset in zip(self.soft, self.hard, strict=True)]
-
-
-def check_vector_target(elements: Any) -> None:
-    """Refuse a target that is not a vector.
-
-    Raises
-    ------
-    ValueError
-        If a message does not have exactly three elements.
-    """
-    for listed in elements.values():
-        if len(listed) != 3:
-            raise ValueError(f"acts on three fields, not {len(listed)}; give x, y and z in target")

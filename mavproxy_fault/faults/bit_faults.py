@@ -1,18 +1,16 @@
 """Faults of the binary representation: flipped bits, not-a-number, cleared flags."""
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
+from mavproxy_fault.fault_parts.fault import Generator
 from mavproxy_fault.fault_parts.profile import MODES
 from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
 from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault
 from mavproxy_fault.faults.profile_faults import combine_number
 from mavproxy_fault.wire.dialect import PACKERS, message_layout
 from mavproxy_fault.wire.frame import Number
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 # HIL_SENSOR.fields_updated (HIL_SENSOR_UPDATED_FLAGS); PX4 takes baro only with bits 9, 11 and 12.
 GROUPS = {
@@ -44,7 +42,7 @@ class BitFlip(ValueFault, frozen=True, kw_only=True):
         elements = self.elements[key[2]]
         return [self._flipped(x, elements[n].code, rng) for n, x in enumerate(before)], None
 
-    def _flipped(self, value: Number, code: str, rng: "Generator") -> Number:
+    def _flipped(self, value: Number, code: str, rng: Generator) -> Number:
         packer = PACKERS[code]
         width = 8 * packer.size
         if self.bit is None:

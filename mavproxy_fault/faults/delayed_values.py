@@ -110,7 +110,3 @@ class SampleHold(RuleFault, frozen=True, kw_only=True):
     remembers: ClassVar[int] = 3
 
     value: Duration
-
-    def numbers(self, count: int) -> list[Numbers]:
-        """Return the interval."""
-        return [(self.value,)] * count

@@ -1,17 +1,14 @@
 """Corrupted frames: wrong bytes, truncation, gaps in the sequence number."""
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from mavproxy_fault.fault_parts.fault import LinkFault, Outgoing
+from mavproxy_fault.fault_parts.fault import Generator, LinkFault, Outgoing
 from mavproxy_fault.fault_parts.rules import Drawn, Effect, Numbers, RuleLinkFault, link_rule
-from mavproxy_fault.faults.loss import Share
+from mavproxy_fault.faults.loss import Share, ShareFault
 from mavproxy_fault.faults.timing import choose_share
 from mavproxy_fault.wire.frame import Frame
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 
 class Corrupt(LinkFault, frozen=True, kw_only=True):
@@ -28,7 +25,7 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
     crc: Literal["left", "redone"] = "left"
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: "Generator"
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: Generator
     ) -> tuple[list[Outgoing], Any]:
         """Replace some bytes, each by a different value."""
         # No random draw if every frame is affected.
@@ -44,7 +41,7 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
         raw = frame.raw[: frame.payload_at] + payload + frame.raw[end:]
         return [Outgoing(t_us, raw)], None
 
-    def _mixed(self, data: bytes, rng: "Generator") -> bytes:
+    def _mixed(self, data: bytes, rng: Generator) -> bytes:
         mixed = bytearray(data)
         places = rng.choice(len(mixed), min(self.count, len(mixed)), replace=False)
         # From 1, since XOR with 0 would change nothing.
@@ -53,25 +50,16 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
         return bytes(mixed)
 
 
-class Truncate(RuleLinkFault, frozen=True, kw_only=True):
+class Truncate(ShareFault, frozen=True, kw_only=True):
     """Cut the last `count` bytes off a fraction `value` of the frames."""
 
     name: ClassVar[str] = "truncate"
     example: ClassVar[dict[str, Any]] = {}
     rule = staticmethod(choose_share)
+    parameters: ClassVar[tuple[str, ...]] = ("value", "count")
     effect: ClassVar[Effect] = "cut"
 
-    value: Share = 1.0
     count: Annotated[int, Meta(ge=1)] = 4
-
-    @property
-    def drawn(self) -> Drawn:
-        """One to choose the frame."""
-        return "random" if self.value < 1.0 else ""
-
-    def numbers(self) -> Numbers:
-        """Return share and number of bytes."""
-        return self.value, float(self.count)
 
 
 @link_rule
@@ -92,17 +80,10 @@ class SequenceGap(RuleLinkFault, frozen=True, kw_only=True):
     # A new sequence number would break the signature, which covers the header.
     takes_sealed: ClassVar[bool] = False
     rule = staticmethod(skip_numbers)
+    parameters: ClassVar[tuple[str, ...]] = ("value", "count")
+    drawn: ClassVar[Drawn] = "random"
     effect: ClassVar[Effect] = "renumber"
     remembers: ClassVar[int] = 2
 
     value: Share = 0.1
     count: Annotated[int, Meta(ge=1, le=255)] = 1
-
-    @property
-    def drawn(self) -> Drawn:
-        """One to choose the frame."""
-        return "random"
-
-    def numbers(self) -> Numbers:
-        """Return share and number of skipped numbers."""
-        return self.value, float(self.count)

@@ -26,11 +26,8 @@ class Freeze(RuleFault, frozen=True, kw_only=True):
     aliases: ClassVar[tuple[str, ...]] = ("stuck",)
     by_sender: ClassVar[bool] = True
     rule = staticmethod(hold_first)
+    parameters: ClassVar[tuple[str, ...]] = ()
     remembers: ClassVar[int] = 2
-
-    def numbers(self, count: int) -> list[Numbers]:
-        """No parameters."""
-        return [()] * count
 
 
 @value_rule
@@ -58,10 +55,6 @@ class SlewLimit(RuleFault, frozen=True, kw_only=True):
 
     value: NotNegative
 
-    def numbers(self, count: int) -> list[Numbers]:
-        """Return the rate."""
-        return [(self.value,)] * count
-
 
 @value_rule
 def decay(x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float) -> Any:
@@ -79,11 +72,8 @@ class FloatToNeutral(RuleFault, frozen=True, kw_only=True):
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "settle_s": 0.05}
     by_sender: ClassVar[bool] = True
     rule = staticmethod(decay)
+    parameters: ClassVar[tuple[str, ...]] = ("neutral", "settle_s")
     remembers: ClassVar[int] = 3
 
     neutral: float = 0.0
     settle_s: Duration = 0.2
-
-    def numbers(self, count: int) -> list[Numbers]:
-        """Return the neutral value and the time constant."""
-        return [(self.neutral, self.settle_s)] * count

@@ -16,24 +16,24 @@ def lose_share(t_us: float, p: Numbers, at: int, m: Any, place: int, u: float, v
     return LOST if p[at] >= 1.0 or u < p[at] else 0
 
 
-class Drop(RuleLinkFault, frozen=True, kw_only=True):
+class ShareFault(RuleLinkFault, frozen=True, kw_only=True):
+    """Base of faults that hit a fraction `value` of the frames, chosen at random."""
+
+    value: Share = 1.0
+
+    @property
+    def drawn(self) -> Drawn:  # type: ignore[override]
+        """No random number if every frame is hit."""
+        return "random" if self.value < 1.0 else ""
+
+
+class Drop(ShareFault, frozen=True, kw_only=True):
     """Drop frames at random; `value` is the fraction lost (default: all)."""
 
     name: ClassVar[str] = "drop"
     example: ClassVar[dict[str, Any]] = {"value": 0.5}
     on_ranges: ClassVar[bool] = True
     rule = staticmethod(lose_share)
-
-    value: Share = 1.0
-
-    @property
-    def drawn(self) -> Drawn:
-        """No random number if every frame is lost."""
-        return "random" if self.value < 1.0 else ""
-
-    def numbers(self) -> Numbers:
-        """Return the share."""
-        return (self.value,)
 
 
 class Outage(RuleLinkFault, frozen=True, kw_only=True):
@@ -69,22 +69,15 @@ class GilbertElliott(RuleLinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "gilbert-elliott"
     example: ClassVar[dict[str, Any]] = {"to_bad": 0.2, "to_good": 0.2}
     rule = staticmethod(lose_in_bad_state)
+    parameters: ClassVar[tuple[str, ...]] = ("to_bad", "to_good", "loss_good", "loss_bad")
     remembers: ClassVar[int] = 2
-    draw_count: ClassVar[int] = 2
+    drawn: ClassVar[Drawn] = "random"
+    draw_count: ClassVar[int] = 2  # one for the state and one for the loss
 
     to_bad: Share = 0.01
     to_good: Share = 0.2
     loss_good: Share = 0.0
     loss_bad: Share = 1.0
-
-    @property
-    def drawn(self) -> Drawn:
-        """One for the state and one for the loss."""
-        return "random"
-
-    def numbers(self) -> Numbers:
-        """Return the probabilities."""
-        return self.to_bad, self.to_good, self.loss_good, self.loss_bad
 
 
 @link_rule
@@ -104,19 +97,12 @@ class Burst(RuleLinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "burst-loss"
     example: ClassVar[dict[str, Any]] = {"value": 0.2, "frames": 3}
     rule = staticmethod(lose_burst)
+    parameters: ClassVar[tuple[str, ...]] = ("value", "frames")
     remembers: ClassVar[int] = 2
+    drawn: ClassVar[Drawn] = "random"
 
     value: Share = 0.01
     frames: Annotated[int, Meta(ge=1)] = 10
-
-    @property
-    def drawn(self) -> Drawn:
-        """One for the beginning of a burst."""
-        return "random"
-
-    def numbers(self) -> Numbers:
-        """Return probability and length."""
-        return self.value, float(self.frames)
 
 
 @link_rule

@@ -26,7 +26,7 @@ class NoiseFault(RuleFault, frozen=True, kw_only=True):
     distribution: Literal["gaussian", "uniform"] = "gaussian"
 
     @property
-    def drawn(self) -> Drawn:
+    def drawn(self) -> Drawn:  # type: ignore[override]
         """One for each element."""
         return "random" if self.distribution == "uniform" else "standard_normal"
 
@@ -55,14 +55,6 @@ class RandomWalk(RuleFault, frozen=True, kw_only=True):
     by_sender: ClassVar[bool] = True
     rule = staticmethod(walk)
     remembers: ClassVar[int] = 2
+    drawn: ClassVar[Drawn] = "standard_normal"
 
     value: NotNegative
-
-    @property
-    def drawn(self) -> Drawn:
-        """One for each element."""
-        return "standard_normal"
-
-    def numbers(self, count: int) -> list[Numbers]:
-        """Return the size of the steps."""
-        return [(self.value,)] * count

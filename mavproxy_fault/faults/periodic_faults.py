@@ -12,6 +12,7 @@ from mavproxy_fault.fault_parts.profile import (
     time_since_period,
 )
 from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
+from mavproxy_fault.fault_parts.value_fault import GYRO, GYROS
 from mavproxy_fault.faults.profile_faults import combine_number
 
 
@@ -25,21 +26,14 @@ class SineWave(RuleFault, frozen=True, kw_only=True):
     """Add a sine of amplitude `value` and `frequency_hz` (vibration)."""
 
     name: ClassVar[str] = "sine"
-    example: ClassVar[dict[str, Any]] = {
-        "target": "HIL_SENSOR.xgyro",
-        "value": 0.1,
-        "frequency_hz": 10,
-    }
+    example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1, "frequency_hz": 10}
     on_ranges: ClassVar[bool] = True
     rule = staticmethod(add_sine)
+    parameters: ClassVar[tuple[str, ...]] = ("value", "frequency_hz", "phase_rad")
 
     value: float
     frequency_hz: Positive
     phase_rad: float = 0.0
-
-    def numbers(self, count: int) -> list[Numbers]:
-        """Return amplitude, frequency and phase."""
-        return [(self.value, self.frequency_hz, self.phase_rad)] * count
 
 
 @value_rule
@@ -58,11 +52,8 @@ class Impulse(RuleFault, frozen=True, kw_only=True):
 
     name: ClassVar[str] = "impulse"
     example: ClassVar[dict[str, Any]] = {
-        "target": "HIL_SENSOR.xgyro",
-        "value": 5.0,
-        "period_s": 0.1,
-        "width_s": 0.02,
-    }
+        "target": GYRO, "value": 5.0, "period_s": 0.1, "width_s": 0.02,
+    }  # fmt: skip
     on_ranges: ClassVar[bool] = True
     rule = staticmethod(combine_impulse)
 
@@ -97,11 +88,7 @@ class Cycle(RuleFault, frozen=True, kw_only=True):
     """Add `value` to one element (or satellite) after another, each for `period_s`."""
 
     name: ClassVar[str] = "cycle"
-    example: ClassVar[dict[str, Any]] = {
-        "target": ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"],
-        "value": 1.0,
-        "period_s": 0.1,
-    }
+    example: ClassVar[dict[str, Any]] = {"target": GYROS, "value": 1.0, "period_s": 0.1}
     on_ranges: ClassVar[bool] = True
     rule = staticmethod(add_to_one)
 

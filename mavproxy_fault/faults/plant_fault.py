@@ -5,11 +5,11 @@ it has changed or 0.2 s have passed. When the fault ends, a last message restore
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.fault import ActsOn, Generator, Outgoing
 from mavproxy_fault.fault_parts.profile import Profile, hold_live_value
 from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.faults.loss import Drop
@@ -19,9 +19,6 @@ from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.plant_messages import SIMULATOR, PlantChange, plant_frame
 from mavproxy_fault.wire.plant_names import SATELLITES
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 REPEAT_US = 200_000  # chosen: a lost datagram is repaired within 0.2 s
 STEP_US = 20_000  # a changing value is sent at 50 Hz at most: bounds the traffic
@@ -48,12 +45,12 @@ class SimulatorFault(msgspec.Struct, frozen=True, kw_only=True):
         """Return the state before the first message."""
         return PlantFaultState(start_us)
 
-    def values(self, t_s: float, state: Any, rng: "Generator") -> tuple[Values, Any]:
+    def values(self, t_s: float, state: Any, rng: Generator) -> tuple[Values, Any]:
         """Return the value of each name, `t_s` after the start of the fault."""
         raise NotImplementedError
 
     def apply(
-        self, frame: Frame, t_us: int, state: PlantFaultState, rng: "Generator"
+        self, frame: Frame, t_us: int, state: PlantFaultState, rng: Generator
     ) -> tuple[list[Outgoing], PlantFaultState]:
         """Forward the frame; reply to one of a simulator with the values."""
         forwarded = Outgoing(t_us, frame)
@@ -121,7 +118,7 @@ class PlantFault(SimulatorFault, frozen=True, kw_only=True):
         if (self.value is None) == (self.profile is None):
             raise ValueError("takes either value or profile")
 
-    def values(self, t_s: float, state: Any, rng: "Generator") -> tuple[Values, Any]:
+    def values(self, t_s: float, state: Any, rng: Generator) -> tuple[Values, Any]:
         """Return the same value for all names."""
         if self.profile is None:
             return (self.value,) * len(self.names), None
@@ -130,7 +127,7 @@ class PlantFault(SimulatorFault, frozen=True, kw_only=True):
         return (self.profile.value(t_s, state),) * len(self.names), state
 
     def apply(
-        self, frame: Frame, t_us: int, state: PlantFaultState, rng: "Generator"
+        self, frame: Frame, t_us: int, state: PlantFaultState, rng: Generator
     ) -> tuple[list[Outgoing], PlantFaultState]:
         """Reply to a simulator's frame, or set the parameters in an epoch of a recording."""
         epoch: Any = frame
@@ -172,7 +169,7 @@ class ReceiverFault(SimulatorFault, frozen=True, kw_only=True):
                 " entirely; omit value, or give `via: proxy`"
             )
 
-    def values(self, t_s: float, state: Any, rng: "Generator") -> tuple[Values, Any]:
+    def values(self, t_s: float, state: Any, rng: Generator) -> tuple[Values, Any]:
         """Return metres per satellite, or 1 for lost."""
         if isinstance(self.fault, Drop):
             return (1.0,) * len(self.names), None

@@ -7,11 +7,11 @@ are forwarded unchanged.
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.fault import ActsOn, Generator, Outgoing
 from mavproxy_fault.fault_parts.profile import hold_live_value
 from mavproxy_fault.fault_parts.value_fault import (
     MOST_SENDERS,
@@ -25,9 +25,6 @@ from mavproxy_fault.rtcm import transport as rtcm
 from mavproxy_fault.rtcm.msm7 import SYSTEMS, msm7_satellites, patch_msm7
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 HOLD_US = 500_000  # fragments of one message leave a receiver within milliseconds
 
@@ -67,7 +64,7 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
         return SatelliteFaultState(start_us, None, {})
 
     def apply(
-        self, frame: Frame, t_us: int, state: SatelliteFaultState, rng: "Generator"
+        self, frame: Frame, t_us: int, state: SatelliteFaultState, rng: Generator
     ) -> tuple[list[Outgoing], SatelliteFaultState]:
         """Buffer a fragment or patch the message that it completes; or change a file's epoch."""
         if isinstance(frame, RangeEpoch):
@@ -128,7 +125,7 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
         return sends, state
 
     def _in_epoch(
-        self, epoch: Any, t_us: int, state: SatelliteFaultState, rng: "Generator"
+        self, epoch: Any, t_us: int, state: SatelliteFaultState, rng: Generator
     ) -> tuple[list[Outgoing], SatelliteFaultState]:
         """Apply the fault to a `RangeEpoch`, a frame to the engine."""
         present = [n for n in self.names if n in epoch.satellites and n not in epoch.lost]

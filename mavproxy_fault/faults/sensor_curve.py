@@ -28,10 +28,6 @@ class Quantise(RuleFault, frozen=True, kw_only=True):
 
     value: Positive
 
-    def numbers(self, count: int) -> list[Numbers]:
-        """Return the step."""
-        return [(self.value,)] * count
-
 
 @value_rule
 def limit_to_range(
@@ -66,7 +62,7 @@ class Saturate(RuleFault, frozen=True, kw_only=True):
         return low, width if self.high is None else self.high
 
     def numbers(self, count: int) -> list[Numbers]:
-        """Return the range."""
+        """Return the lowest and the highest value."""
         return [self._range()] * count
 
 
@@ -86,7 +82,3 @@ class DeadBand(RuleFault, frozen=True, kw_only=True):
     rule = staticmethod(cut_dead_band)
 
     value: NotNegative
-
-    def numbers(self, count: int) -> list[Numbers]:
-        """Return half the width of the band."""
-        return [(self.value,)] * count

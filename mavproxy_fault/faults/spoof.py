@@ -11,18 +11,15 @@ References
 """
 
 import math
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 
 from mavproxy_fault.fault_parts.draft import rewrite_fields
-from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.fault import ActsOn, Generator, Outgoing
 from mavproxy_fault.fault_parts.profile import Seconds
 from mavproxy_fault.fault_parts.spoofed_messages import MOVERS, Move, Three
 from mavproxy_fault.wire.frame import Frame
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 
 class Shift(NamedTuple):
@@ -76,7 +73,7 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
         return start_us
 
     def apply(
-        self, frame: Frame, t_us: int, state: int, rng: "Generator"
+        self, frame: Frame, t_us: int, state: int, rng: Generator
     ) -> tuple[list[Outgoing], int]:
         """Move one frame; forward messages without a position."""
         mover = MOVERS.get(frame.layout.name)

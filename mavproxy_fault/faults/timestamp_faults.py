@@ -4,18 +4,15 @@ They change every field with the sender's time, in any unit: `time_usec`, `usec`
 `timestamp`, `time_boot_ms`.
 """
 
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 from mavproxy_fault.fault_parts.draft import Draft
 from mavproxy_fault.fault_parts.elements import locate_element
-from mavproxy_fault.fault_parts.fault import LinkFault, Outgoing
+from mavproxy_fault.fault_parts.fault import Generator, LinkFault, Outgoing
 from mavproxy_fault.fault_parts.profile import Positive
 from mavproxy_fault.fault_parts.rules import Numbers, value_rule
 from mavproxy_fault.wire.dialect import Layout
 from mavproxy_fault.wire.frame import Frame
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 NAMES = ("time_usec", "usec", "time_boot_us", "time_unix_usec", "timestamp", "time_boot_ms")
 COUNTS_PER_S = {"us": 1e6, "ms": 1e3}
@@ -45,7 +42,7 @@ class TimestampFault(LinkFault, frozen=True, kw_only=True):
         raise NotImplementedError
 
     def apply(
-        self, frame: Frame, t_us: int, state: int, rng: "Generator"
+        self, frame: Frame, t_us: int, state: int, rng: Generator
     ) -> tuple[list[Outgoing], int]:
         """Shift every timestamp of the frame; forward messages without one."""
         t_s, draft = (t_us - state) / 1e6, Draft(frame)

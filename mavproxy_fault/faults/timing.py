@@ -7,7 +7,7 @@ from msgspec import Meta
 
 from mavproxy_fault.fault_parts.profile import Seconds
 from mavproxy_fault.fault_parts.rules import Drawn, Effect, Numbers, RuleLinkFault, link_rule
-from mavproxy_fault.faults.loss import Share
+from mavproxy_fault.faults.loss import Share, ShareFault
 
 UNIFORM, NORMAL, EXPONENTIAL, PARETO = range(4)
 DISTRIBUTIONS: dict[str, tuple[int, Drawn]] = {
@@ -34,7 +34,7 @@ class Delay(RuleLinkFault, frozen=True, kw_only=True):
     value: Seconds
 
     def numbers(self) -> Numbers:
-        """Return share and delay."""
+        """Return the share of the frames (all) and the delay, microseconds."""
         return 1.0, float(round(self.value * 1e6))
 
 
@@ -77,7 +77,7 @@ class Jitter(RuleLinkFault, frozen=True, kw_only=True):
     keep_order: bool = True
 
     @property
-    def drawn(self) -> Drawn:
+    def drawn(self) -> Drawn:  # type: ignore[override]
         """The unscaled number of the distribution."""
         return DISTRIBUTIONS[self.distribution][1]
 
@@ -93,21 +93,17 @@ class Reorder(RuleLinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "reorder"
     example: ClassVar[dict[str, Any]] = {"value": 0.2, "by_s": 0.02}
     rule = staticmethod(choose_share)
+    drawn: ClassVar[Drawn] = "random"
 
     value: Share = 0.1
     by_s: Seconds = 0.05
 
-    @property
-    def drawn(self) -> Drawn:
-        """One to choose the frame."""
-        return "random"
-
     def numbers(self) -> Numbers:
-        """Return share and delay."""
+        """Return the share of the frames and the delay, microseconds."""
         return self.value, float(round(self.by_s * 1e6))
 
 
-class Duplicate(RuleLinkFault, frozen=True, kw_only=True):
+class Duplicate(ShareFault, frozen=True, kw_only=True):
     """Repeat a fraction `value` of the frames: `copies` more, the last `by_s` later."""
 
     name: ClassVar[str] = "duplicate"
@@ -115,15 +111,9 @@ class Duplicate(RuleLinkFault, frozen=True, kw_only=True):
     rule = staticmethod(choose_share)
     effect: ClassVar[Effect] = "copies"
 
-    value: Share = 1.0
     copies: Annotated[int, Meta(ge=1, le=100)] = 1
     by_s: Seconds = 0.0
 
-    @property
-    def drawn(self) -> Drawn:
-        """One to choose the frame."""
-        return "random" if self.value < 1.0 else ""
-
     def numbers(self) -> Numbers:
-        """Return share, number of copies, and the delay of the last one."""
+        """Return share, number of copies, and the delay of the last one, microseconds."""
         return self.value, float(self.copies), float(round(self.by_s * 1e6))

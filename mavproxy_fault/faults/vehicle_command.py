@@ -10,16 +10,13 @@ References
 """
 
 import math
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
+from mavproxy_fault.fault_parts.fault import ActsOn, Generator, Outgoing
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
-
-if TYPE_CHECKING:
-    from numpy.random import Generator
 
 Parameters = tuple[float, ...]
 CommandCall = tuple[int, Parameters]
@@ -88,7 +85,7 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
         return CommandState()
 
     def apply(
-        self, frame: Frame, t_us: int, state: CommandState, rng: "Generator"
+        self, frame: Frame, t_us: int, state: CommandState, rng: Generator
     ) -> tuple[list[Outgoing], CommandState]:
         """Forward the frame; reply to a heartbeat with the command that is not accepted yet."""
         passed = Outgoing(t_us, frame)

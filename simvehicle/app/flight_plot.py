@@ -6,16 +6,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.extras import import_extra
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 from simvehicle.guidance.route import PathTrack
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.simulation.simulation import Simulation
 
-Array = NDArray[np.float64]
 _PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 

@@ -11,7 +11,7 @@ from simvehicle.app.battery_warnings import BatteryWarnings
 from simvehicle.app.pace import Pace
 from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
-from simvehicle.hil.plant_changes import ChangeablePlant, PlantChanges
+from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.actuators import CHANNEL_COUNT, Mix, read_controls
 from simvehicle.vehicles.body import Controls, Truth
@@ -28,7 +28,7 @@ FIRST_MESSAGE_TIMEOUT_S = 5.0  # after this a connected peer that only listens i
 FIRST_ANSWER_TIMEOUT_S = 15.0  # until a warning; PX4 needs 3 s to start, a busy machine 10 s
 
 
-class SteppedSimulation(ChangeablePlant, Protocol):
+class SteppedSimulation(Protocol):
     """The interface of a simulation that the loop steps."""
 
     def step(self, controls: Controls) -> tuple[int, Truth, Sequence[Reading]]:
@@ -36,6 +36,9 @@ class SteppedSimulation(ChangeablePlant, Protocol):
 
     def prepare(self) -> None:
         """Compute the part of the next step that does not depend on its controls."""
+
+    def plant(self, name: str, value: float | None) -> None:
+        """Set a plant fault; None removes it."""
 
 
 class FramePacker(Protocol):
@@ -116,7 +119,7 @@ class LockstepLoop:
         self._simulation = simulation
         self._hil = hil
         self._inbox = inbox
-        self._changes = PlantChanges(simulation, progress.say)
+        self._changes = PlantChanges(simulation.plant, progress.say)
         self._battery = BatteryWarnings(progress.say)
         self._mix = mix
         self._progress = progress

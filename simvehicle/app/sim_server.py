@@ -172,7 +172,7 @@ class FreeLoop:
         self.t_us = 0
         self._simulation = simulation
         self._hil = Inbox(hil) if hil else None
-        self._changes = PlantChanges(simulation, progress.say)
+        self._changes = PlantChanges(simulation.plant, progress.say)
         self._battery = BatteryWarnings(progress.say)
         self._packer = HilPacker(simulation.board, mav_type=mav_type_and_mix(simulation)[0])
         self._gcs = Inbox(gcs) if gcs else None

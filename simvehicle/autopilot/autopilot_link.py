@@ -17,7 +17,7 @@ from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.streams import Streams
 from simvehicle.autopilot.telemetry import Snapshot
 from simvehicle.hil.hil_frames import START_US
-from simvehicle.hil.outgoing_message import Message, make_message
+from simvehicle.hil.hil_messages import Message, drawn_mah, make_message
 from simvehicle.sensors.readings import BatteryReading, GpsReading, Reading
 from simvehicle.vehicles.body import Truth
 
@@ -82,7 +82,8 @@ class AutopilotLink:
             if isinstance(reading, GpsReading) and reading.id == 0:
                 self._gps = reading
             elif isinstance(reading, BatteryReading):
-                self._integrate_current(reading)
+                self._consumed_mah += drawn_mah(self._battery, reading)
+                self._battery = reading
         messages = self._flight.advance(truth)
         self._snapshot = Snapshot(
             stamp_us=t_us + self._start_us,
@@ -141,13 +142,6 @@ class AutopilotLink:
         component = frame.number("target_component") if "target_component" in fields else 0
         # 0 is MAVLink's "to all".
         return system in (0, self._system) and component in (0, AUTOPILOT_COMPONENT)
-
-    def _integrate_current(self, reading: BatteryReading) -> None:
-        if self._battery is not None:
-            # Microseconds to hours.
-            hours = (reading.t_us - self._battery.t_us) / 3.6e9
-            self._consumed_mah += reading.current_a * 1e3 * hours
-        self._battery = reading
 
     def _pack(self, content: Message) -> bytes:
         layout, values = content

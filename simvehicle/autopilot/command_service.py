@@ -13,11 +13,10 @@ from mavproxy_fault.wire.frame import Frame as WireFrame
 from simvehicle.autopilot import telemetry
 from simvehicle.autopilot.enums import BaseMode, Command, CommandResult, CoordinateFrame, FlightMode
 from simvehicle.autopilot.flight_goals import CommandedFlight
-from simvehicle.autopilot.mode_list import available_modes
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.streams import Streams
-from simvehicle.autopilot.telemetry import Snapshot, protocol_version
-from simvehicle.hil.outgoing_message import PROTOCOL_VERSION, Message, make_message
+from simvehicle.autopilot.telemetry import Snapshot, available_modes
+from simvehicle.hil.hil_messages import Message, make_message
 
 FORCE_ARMING = 21196  # MAV_CMD_COMPONENT_ARM_DISARM.param2: arm or disarm in any state
 FAILURE_MOTOR = 101  # FAILURE_UNIT_SYSTEM_MOTOR
@@ -73,7 +72,9 @@ class Commands:
             Command.GET_MESSAGE_INTERVAL: self._get_interval,
             Command.SET_MESSAGE_INTERVAL: self._set_interval,
             Command.REQUEST_MESSAGE: self._request_message,
-            Command.REQUEST_PROTOCOL_VERSION: lambda request, snapshot: [protocol_version()],
+            Command.REQUEST_PROTOCOL_VERSION: lambda request, snapshot: [
+                telemetry.protocol_version(snapshot)
+            ],
             Command.REQUEST_AUTOPILOT_CAPABILITIES: lambda request, snapshot: [
                 telemetry.autopilot_version(snapshot)
             ],
@@ -168,8 +169,6 @@ class Commands:
 
     def _request_message(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         number, index = integer_parameter(request.params[0]), integer_parameter(request.params[1])
-        if number == PROTOCOL_VERSION.id:
-            return [protocol_version()]
         # The modes are listed by index and not streamed.
         if number == AVAILABLE_MODES:
             return available_modes(max(index, 0)) or CommandResult.UNSUPPORTED

@@ -21,7 +21,6 @@ class Command(IntEnum):
     DELAY = 93
     SET_MODE = 176
     CHANGE_SPEED = 178
-    SET_HOME = 179
     REPOSITION = 192
     PAUSE_CONTINUE = 193
     SET_MISSION_CURRENT = 224
@@ -40,10 +39,8 @@ class CommandResult(IntEnum):
     """MAV_RESULT."""
 
     ACCEPTED = 0
-    TEMPORARILY_REJECTED = 1
     DENIED = 2
     UNSUPPORTED = 3
-    FAILED = 4
 
 
 class MissionResult(IntEnum):
@@ -58,7 +55,6 @@ class MissionResult(IntEnum):
     INVALID_PARAM5_X = 10
     INVALID_PARAM6_Y = 11
     INVALID_SEQUENCE = 13
-    DENIED = 14
     OPERATION_CANCELLED = 15
 
 
@@ -66,8 +62,6 @@ class MissionType(IntEnum):
     """MAV_MISSION_TYPE."""
 
     MISSION = 0
-    FENCE = 1
-    RALLY = 2
     ALL = 255
 
 
@@ -133,7 +127,6 @@ class SysStatusSensor(IntFlag):
     ACCEL = 0x2
     MAG = 0x4
     ABSOLUTE_PRESSURE = 0x8
-    DIFFERENTIAL_PRESSURE = 0x10
     GPS = 0x20
     GEOFENCE = 0x100000
     AHRS = 0x200000

@@ -16,17 +16,18 @@ from enum import Enum
 
 import numpy as np
 
+from mavproxy_fault.numerics.arrays import Array
 from simvehicle.autopilot.enums import Command, FlightMode, LandedState
 from simvehicle.autopilot.mission_service import MissionItem, Missions
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.telemetry import HomePosition
-from simvehicle.hil.outgoing_message import Message, make_message, statustext
-from simvehicle.vehicles.body import Truth, Vector
+from simvehicle.hil.hil_messages import Message, make_message, statustext
+from simvehicle.vehicles.body import Truth
 
 HEIGHT_TOLERANCE_M = 1.0
 SLOWEST_COMMAND_MPS = 0.5
 
-LocateNed = Callable[[float, float, float], Vector]  # latitude, longitude in degrees, m MSL -> NED
+LocateNed = Callable[[float, float, float], Array]  # latitude, longitude in degrees, m MSL -> NED
 
 
 class GoalKind(Enum):
@@ -42,7 +43,7 @@ class Goal:
     """Where to fly; `speed_mps` None and `yaw_rad` NaN leave the choice to the vehicle."""
 
     kind: GoalKind
-    r_ned_m: Vector
+    r_ned_m: Array
     speed_mps: float | None = None
     yaw_rad: float = math.nan
 
@@ -311,22 +312,22 @@ class CommandedFlight:
         landing = self.mode == FlightMode.LAND or self.goal.kind is GoalKind.LAND
         return LandedState.LANDING if landing else LandedState.IN_AIR
 
-    def _item_position(self, item: MissionItem) -> Vector:
+    def _item_position(self, item: MissionItem) -> Array:
         """Position of an item in NED; 0, 0 means here, as in a take-off item without a position."""
         alt_m = item.z_m + (self.home.alt_m if item.relative else 0.0)
         if item.x_degE7 == 0 and item.y_degE7 == 0:
             return self._position_at(alt_m)
         return self._locate(item.x_degE7 * 1e-7, item.y_degE7 * 1e-7, alt_m)
 
-    def _position(self) -> Vector:
+    def _position(self) -> Array:
         return np.zeros(3) if self._truth is None else self._truth.r_ned_m.copy()
 
-    def _position_at(self, alt_m: float) -> Vector:
+    def _position_at(self, alt_m: float) -> Array:
         current = self._position()
         current[2] = self.home.alt_m - alt_m
         return current
 
-    def _has_reached(self, position: Vector) -> bool:
+    def _has_reached(self, position: Array) -> bool:
         north, east, down = (position - self._position()).tolist()
         near = math.hypot(north, east) < self._acceptance_m
         # A circling vehicle has a large acceptance radius, which applies to its height, too.

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 from mavproxy_fault.wire.frame import Frame as WireFrame
 from simvehicle.autopilot.enums import Command, CoordinateFrame, MissionResult, MissionType
 from simvehicle.guidance.waypoints import Waypoint
-from simvehicle.hil.outgoing_message import Message, make_message
+from simvehicle.hil.hil_messages import Message, make_message
 
 MAX_ITEMS = 1000  # chosen: bounds the memory that a peer can claim
 RETRY_US = 500_000  # a request for an item is repeated after this

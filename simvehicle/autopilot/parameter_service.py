@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 from mavproxy_fault.wire.frame import Frame
 from simvehicle.autopilot.enums import PARAM_INT32, PARAM_REAL32
-from simvehicle.hil.outgoing_message import Message, make_message
+from simvehicle.hil.hil_messages import Message, make_message
 
 # Meaning and defaults follow PX4's parameter reference, adapted to this vehicle.
 COMMON_PARAMETERS: dict[str, int | float] = {

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from mavproxy_fault.wire.dialect import find_layout, message_layout
 from simvehicle.autopilot import telemetry
 from simvehicle.autopilot.telemetry import Snapshot
-from simvehicle.hil.outgoing_message import Message
+from simvehicle.hil.hil_messages import Message
 
 SECOND_US = 1_000_000
 # Name -> the function that builds it and its default interval in us (0: on request only)
@@ -26,6 +26,7 @@ MESSAGE_SOURCES: dict[str, tuple[Callable[[Snapshot], Message], int]] = {
     "MISSION_CURRENT": (telemetry.mission_current, SECOND_US),
     "AUTOPILOT_VERSION": (telemetry.autopilot_version, 0),
     "CURRENT_MODE": (telemetry.current_mode, 0),
+    "PROTOCOL_VERSION": (telemetry.protocol_version, 0),
 }
 # MAV_DATA_STREAM of REQUEST_DATA_STREAM -> the messages that it selects
 DATA_STREAMS = {
@@ -61,17 +62,14 @@ class Streams:
 
     def interval_us(self, number: int) -> int:
         """The interval of a message in microseconds, -1 where off, 0 where not available."""
-        layout = find_layout(number)
-        if layout is None or layout.name not in MESSAGE_SOURCES:
-            return 0
-        return self._interval_us[layout.name] or -1
+        name = _source_name(number)
+        return 0 if name is None else self._interval_us[name] or -1
 
     def set_interval(self, number: int, interval_us: float) -> bool:
         """Set, reset (0) or stop (-1) a stream; returns False for an unsupported message."""
-        layout = find_layout(number)
-        if layout is None or layout.name not in MESSAGE_SOURCES:
+        name = _source_name(number)
+        if name is None:
             return False
-        name = layout.name
         if interval_us == 0:
             interval_us = MESSAGE_SOURCES[name][1]
         # Never faster than the simulation's steps.
@@ -87,9 +85,8 @@ class Streams:
 
     def make_requested(self, number: int, snapshot: Snapshot) -> list[Message]:
         """Build a message by its number, once; empty for an unsupported message."""
-        layout = find_layout(number)
-        source = MESSAGE_SOURCES.get(layout.name) if layout else None
-        return [source[0](snapshot)] if source else []
+        name = _source_name(number)
+        return [] if name is None else [MESSAGE_SOURCES[name][0](snapshot)]
 
     def set_data_stream(self, stream: int, rate_hz: float, start: bool) -> None:
         """Apply the deprecated REQUEST_DATA_STREAM, which has no answer."""
@@ -98,3 +95,9 @@ class Streams:
             self.set_interval(
                 message_layout(name).id, SECOND_US / rate_hz if start and rate_hz > 0 else -1
             )
+
+
+def _source_name(number: int) -> str | None:
+    """The name of a message that can be sent; None for any other."""
+    layout = find_layout(number)
+    return layout.name if layout is not None and layout.name in MESSAGE_SOURCES else None

@@ -1,4 +1,7 @@
-"""The vehicle's telemetry: one function per message, each from a snapshot of one instant."""
+"""The vehicle's telemetry: one function per message, each from a snapshot of one instant.
+
+The list of flight modes follows the "Standard Modes Protocol" of the MAVLink developer guide.
+"""
 
 import math
 from dataclasses import dataclass
@@ -11,12 +14,12 @@ from simvehicle.autopilot.enums import (
     Capability,
     FlightMode,
     LandedState,
+    StandardMode,
     SysStatusSensor,
     SystemState,
 )
-from simvehicle.autopilot.mode_list import LISTED_MODES
 from simvehicle.hil import hil_messages
-from simvehicle.hil.outgoing_message import PROTOCOL_VERSION, Message, make_message
+from simvehicle.hil.hil_messages import Message, make_message
 from simvehicle.sensors.readings import BatteryReading, GpsReading
 from simvehicle.vehicles.body import Truth
 
@@ -28,6 +31,16 @@ PRESENT_SENSORS = (
     SysStatusSensor.ABSOLUTE_PRESSURE | SysStatusSensor.GPS | SysStatusSensor.GEOFENCE |
     SysStatusSensor.AHRS | SysStatusSensor.BATTERY | SysStatusSensor.PREARM_CHECK
 )  # fmt: skip
+
+
+# Name and standard mode of each, in the order of the list
+LISTED_MODES = {
+    FlightMode.TAKEOFF: (b"Takeoff", StandardMode.TAKEOFF),
+    FlightMode.HOLD: (b"Hold", StandardMode.NON_STANDARD),
+    FlightMode.MISSION: (b"Mission", StandardMode.MISSION),
+    FlightMode.RETURN: (b"Return", StandardMode.SAFE_RECOVERY),
+    FlightMode.LAND: (b"Land", StandardMode.LAND),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,9 +275,25 @@ def current_mode(snapshot: Snapshot) -> Message:
     )
 
 
-def protocol_version() -> Message:
+def available_modes(index: int) -> list[Message]:
+    """The AVAILABLE_MODES message of an index from 1, or of all for 0; none beyond the last."""
+    messages = [
+        make_message(
+            "AVAILABLE_MODES",
+            number_modes=len(LISTED_MODES),
+            mode_index=number,
+            standard_mode=standard,
+            custom_mode=mode,
+            mode_name=name,
+        )
+        for number, (mode, (name, standard)) in enumerate(LISTED_MODES.items(), 1)
+    ]
+    return messages if index == 0 else messages[index - 1 : index]
+
+
+def protocol_version(snapshot: Snapshot) -> Message:
     """Both MAVLink 1 and 2 are accepted, 2 is sent."""
-    return PROTOCOL_VERSION, {"version": 200, "min_version": 100, "max_version": 200}
+    return make_message("PROTOCOL_VERSION", version=200, min_version=100, max_version=200)
 
 
 def _heading_cdeg(snapshot: Snapshot) -> int:

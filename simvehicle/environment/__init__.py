@@ -1,1 +1,1 @@
-"""The environment of a vehicle: air and wind, terrain, gravity and the magnetic field."""
+"""The environment of a vehicle: air and wind, terrain and gravity."""

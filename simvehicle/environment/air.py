@@ -5,17 +5,14 @@ intensities from Beard and McLain, Small Unmanned Aircraft, 2012, table 4.1.
 """
 
 import math
-from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
+import msgspec
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_ned
 from simvehicle.vehicles.rigidbody_kernel import E0, E1, E2, E3
-
-Array = NDArray[np.float64]
 
 SEA_LEVEL_PA = 101325.0
 SEA_LEVEL_K = 288.15
@@ -53,12 +50,19 @@ def pressure_altitude(pressure_pa: float) -> float:
     return _EARTH_RADIUS_M * h / (_EARTH_RADIUS_M - h)
 
 
-@dataclass(frozen=True, slots=True)
-class Gusts:
+class Gusts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Dryden turbulence along the body axes: standard deviations and length scales."""
 
     sigma_mps: tuple[float, float, float]
     length_m: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        if min(self.sigma_mps) < 0.0:
+            raise ValueError(
+                f"sigma_mps = {list(self.sigma_mps)} is negative; 0 or more is allowed"
+            )
+        if min(self.length_m) <= 0.0:
+            raise ValueError(f"length_m = {list(self.length_m)} is not positive; use metres > 0")
 
 
 # Start of the second-order filters in `filters`

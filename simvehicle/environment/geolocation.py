@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.earth import ecef_from_geodetic, gravity, rot_en
 from mavproxy_fault.numerics.earth_kernel import geodetic_of
@@ -20,7 +20,6 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
 from simvehicle.environment.air import standard_air
 from simvehicle.vehicles.rigidbody_kernel import DOWN, E0, E1, E2, E3, EAST, NORTH, U, V, W
 
-Array = NDArray[np.float64]
 # Start of each item in the output of `locate_state`, after the geodetic position; its length
 AIR, VELOCITY, ATTITUDE, AIR_VELOCITY, LOCAL_GRAVITY, LOCATION_SIZE = 3, 6, 9, 13, 16, 19
 _AXES, GEOID, HOME_SIZE = 3, 12, 13  # in `HomeFrame.packed`, after the position

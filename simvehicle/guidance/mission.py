@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.arrays import Array
 from simvehicle.scenario.scenario_file import Leg
 
-Array = NDArray[np.float64]
 Arc = tuple[float, float]
 """Length [m] and curvature [1/m] (positive turns right)."""
 

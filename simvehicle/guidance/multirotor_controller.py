@@ -8,8 +8,8 @@ Kumar, ICRA 2011), and those the motor commands by the pseudoinverse of the roto
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
@@ -19,7 +19,6 @@ from simvehicle.sensors.readings import Triple
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
-Array = NDArray[np.float64]
 _TRACK_GAIN = 1.0  # 1/s, cross-track error to closing speed
 _SPEED_GAIN = 2.5  # 1/s, velocity error to acceleration
 _INTEGRAL_GAIN = 0.8  # 1/s^2
@@ -103,18 +102,9 @@ class MultirotorController:
         self.yaw_rad = math.nan
         self._heading: float | None = None
         self._integral = [0.0, 0.0, 0.0]
-        motor, rotors = vehicle.parameters.motor, vehicle.rotors
         moments = vehicle.parameters.inertia_kgm2
         self._body = np.array([vehicle.parameters.mass_kg, moments.jx, moments.jy, moments.jz])
-        effect = np.array(
-            [
-                np.ones(len(rotors)),
-                -rotors[:, 1],
-                rotors[:, 0],
-                rotors[:, 2] * motor.torque_per_thrust_m,
-            ]
-        )
-        self._allocation = np.ascontiguousarray(np.linalg.pinv(effect))
+        self._allocation = np.ascontiguousarray(np.linalg.pinv(vehicle.thrust_effects))
 
     def circle(
         self, north_m: float, east_m: float, height_m: float, speed_mps: float

@@ -87,14 +87,15 @@ class PathTrack:
         )
 
 
+@dataclass(slots=True)
 class CircleTrack:
     """Circles a point clockwise, without end."""
 
-    def __init__(
-        self, north_m: float, east_m: float, height_m: float, radius_m: float, speed_mps: float
-    ) -> None:
-        self.north_m, self.east_m, self.height_m = north_m, east_m, height_m
-        self.radius_m, self.speed_mps = radius_m, speed_mps
+    north_m: float
+    east_m: float
+    height_m: float
+    radius_m: float
+    speed_mps: float
 
     def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> Setpoint:
         """The setpoint along the circle's tangent beside the vehicle."""
@@ -107,13 +108,14 @@ class CircleTrack:
         )
 
 
+@dataclass(frozen=True, slots=True)
 class HoldTrack:
     """Flies straight to a point and stays there."""
 
-    def __init__(self, north_m: float, east_m: float, height_m: float, speed_mps: float) -> None:
-        self.north_m, self.east_m, self.height_m = north_m, east_m, height_m
-        self.speed_mps = speed_mps
-        self.radius_m = speed_mps**2 / (2.0 * _BRAKING_MPS2)  # braking distance
+    north_m: float
+    east_m: float
+    height_m: float
+    speed_mps: float
 
     def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> Setpoint:
         """The setpoint towards the point, with decreasing speed."""

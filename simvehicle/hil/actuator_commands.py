@@ -7,6 +7,7 @@ This lets a proxy change them on the way: they go out as frames in PX4's channel
 import struct
 from collections.abc import Sequence
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, frame_payload
 from simvehicle.vehicles.actuators import (
@@ -20,7 +21,7 @@ from simvehicle.vehicles.actuators import (
     Mix,
     read_controls,
 )
-from simvehicle.vehicles.body import Controls, Vector
+from simvehicle.vehicles.body import Controls
 
 HIL_ACTUATOR_CONTROLS = message_layout("HIL_ACTUATOR_CONTROLS")
 SYSTEM, COMPONENT = 1, 1  # the autopilot's
@@ -45,7 +46,7 @@ class ActuatorCommands:
             ACTUATOR_CHANNELS.get(name, ((number, 1.0),)) for number, name in enumerate(actuators)
         ]
 
-    def frame(self, t_us: int, values: Vector) -> bytes:
+    def frame(self, t_us: int, values: Array) -> bytes:
         """The message that commands the actuators to `values` (n,) at `t_us`."""
         channels = [0.0] * CHANNEL_COUNT
         for value, outputs in zip(values.tolist(), self._channels, strict=True):

@@ -17,7 +17,7 @@ from mavproxy_fault.wire.dialect import Layout, message_layout
 from mavproxy_fault.wire.frame import build_frame
 from simvehicle.hil import hil_messages
 from simvehicle.hil.frame_kernel import IDS, PACKER, pack_sensors, pack_truth
-from simvehicle.hil.outgoing_message import Message
+from simvehicle.hil.hil_messages import Message
 from simvehicle.sensors.flight_record import Board
 from simvehicle.sensors.readings import (
     BatteryReading,
@@ -82,7 +82,7 @@ class HilPacker:
         self._rtcm = 0  # RTCM messages sent
         self.heartbeat_us = 0
         self._consumed_mah = 0.0
-        self._battery_us: int | None = None
+        self._battery: BatteryReading | None = None
 
     def frames(self, readings: Iterable[Reading]) -> list[bytes]:
         """Pack the frames of one step with the readings delivered at it.
@@ -117,7 +117,9 @@ class HilPacker:
         """The message of a reading that is not part of HIL_SENSOR."""
         stamp = reading.t_us + self.start_us
         if isinstance(reading, BatteryReading):
-            return hil_messages.battery_status(reading, self._consume(reading))
+            self._consumed_mah += hil_messages.drawn_mah(self._battery, reading)
+            self._battery = reading
+            return hil_messages.battery_status(reading, self._consumed_mah)
         return hil_messages.READING_MESSAGES[type(reading)](reading, stamp)
 
     def _tunnel(self, message: bytes) -> list[bytes]:
@@ -127,14 +129,6 @@ class HilPacker:
         self._rtcm += 1
         self._packer["seq"] = (seq + len(frames)) & 0xFF
         return frames
-
-    def _consume(self, reading: BatteryReading) -> float:
-        """Charge drawn until this reading [mAh]."""
-        if self._battery_us is not None:
-            hours = (reading.t_us - self._battery_us) / 3.6e9
-            self._consumed_mah += reading.current_a * 1e3 * hours
-        self._battery_us = reading.t_us
-        return self._consumed_mah
 
     def _heartbeat(self) -> Message:
         return HEARTBEAT, {

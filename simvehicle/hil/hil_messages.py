@@ -5,13 +5,12 @@ MAVLink definitions, except HIL_GPS.eph and .epv, which PX4 reads as position er
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles, rotate_to_body
-from mavproxy_fault.wire.dialect import message_layout
-from simvehicle.hil.outgoing_message import Message
+from mavproxy_fault.wire.dialect import Layout, message_layout
 from simvehicle.sensors.readings import (
     BatteryReading,
     FlowReading,
@@ -19,6 +18,8 @@ from simvehicle.sensors.readings import (
     RangeReading,
     VisionReading,
 )
+
+Message = tuple[Layout, Mapping[str, object]]
 
 COURSE_UNKNOWN = 0xFFFF  # HIL_GPS.cog
 COURSE_SPEED_MPS = 0.5  # chosen: below it the course over ground is mostly noise
@@ -36,6 +37,17 @@ HIL_OPTICAL_FLOW = message_layout("HIL_OPTICAL_FLOW")
 ODOMETRY = message_layout("ODOMETRY")
 VISION_POSITION_ESTIMATE = message_layout("VISION_POSITION_ESTIMATE")
 BATTERY_STATUS = message_layout("BATTERY_STATUS")
+
+
+def make_message(name: str, **values: object) -> Message:
+    """Make the message `name`; omitted fields are zero."""
+    return message_layout(name), values
+
+
+def statustext(text: str, severity: int = 6) -> Message:
+    """STATUSTEXT; severity 6 is MAV_SEVERITY_INFO."""
+    # 50 bytes is the field's size.
+    return make_message("STATUSTEXT", severity=severity, text=text.encode()[:50])
 
 
 def round_within(value: float, low: int, high: int) -> int:
@@ -150,6 +162,12 @@ def vision_position_estimate(reading: VisionReading, t_us: int) -> Message:
         "yaw": yaw,
         "covariance": _covariance_triangle(reading.sigma_r_m**2, math.nan),
     }
+
+
+def drawn_mah(before: BatteryReading | None, reading: BatteryReading) -> float:
+    """The charge drawn from a battery between two readings [mAh]."""
+    hours = 0.0 if before is None else (reading.t_us - before.t_us) / 3.6e9
+    return reading.current_a * 1e3 * hours
 
 
 def battery_status(reading: BatteryReading, consumed_mah: float) -> Message:

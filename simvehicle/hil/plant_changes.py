@@ -4,24 +4,18 @@ A peer repeats them five times a second, so each refusal is reported once.
 """
 
 from collections.abc import Callable
-from typing import Protocol
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.plant_messages import plant_change
 
 
-class ChangeablePlant(Protocol):
-    """A simulation that accepts plant faults."""
-
-    def plant(self, name: str, value: float | None) -> None:
-        """Set a plant fault; None removes it."""
-
-
 class PlantChanges:
-    """Applies the plant faults received on a link to one simulation."""
+    """Applies the plant faults received on a link to one simulation by its function `plant`."""
 
-    def __init__(self, plant: ChangeablePlant, say: Callable[[str], None]) -> None:
+    def __init__(
+        self, plant: Callable[[str, float | None], None], say: Callable[[str], None]
+    ) -> None:
         self._plant = plant
         self._say = say
         self._refused: set[str] = set()
@@ -32,7 +26,7 @@ class PlantChanges:
         if change is None:
             return
         try:
-            self._plant.plant(change.name, change.value)
+            self._plant(change.name, change.value)
         except ConfigError as error:
             if change.name not in self._refused:
                 self._refused.add(change.name)

@@ -16,6 +16,7 @@ from mavproxy_fault.documents.document_kind import refuse_other_kinds
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import Document, read_document
 from mavproxy_fault.documents.yaml_document import Path as DocumentPath
+from simvehicle.environment.air import Gusts
 from simvehicle.gnss.gnss_config import GnssConfig
 from simvehicle.sensors.airspeed import Airspeed
 from simvehicle.sensors.barometer import Barometer
@@ -128,19 +129,6 @@ class OpenLoopControls(_Section, frozen=True):
     weave: WeaveChoice | None = None
 
 
-class GustChoice(_Section, frozen=True):
-    """Parameters of Dryden gusts along the body axes."""
-
-    sigma_mps: tuple[float, float, float]
-    length_m: tuple[float, float, float]
-
-    def __post_init__(self) -> None:
-        if min(self.sigma_mps) < 0.0:
-            raise ValueError(f"sigma_mps = {list(self.sigma_mps)} is negative; 0 or more")
-        if min(self.length_m) <= 0.0:
-            raise ValueError(f"length_m = {list(self.length_m)} is not positive; use metres > 0")
-
-
 class ShearChoice(_Section, frozen=True):
     """Wind shear as a power law over height; `wind_ned_mps` is the wind at `reference_m`."""
 
@@ -160,7 +148,7 @@ class Environment(_Section, frozen=True):
     """
 
     wind_ned_mps: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    gusts: Literal["none", "light", "moderate", "light-600m", "moderate-600m"] | GustChoice = "none"
+    gusts: Literal["none", "light", "moderate", "light-600m", "moderate-600m"] | Gusts = "none"
     shear: ShearChoice | None = None
     terrain: str | None = None
 
@@ -214,7 +202,10 @@ class Scenario(_Section, frozen=True):
         if kind == "multirotor" and (weave is None or controls != OpenLoopControls(weave=weave)):
             raise ValueError("controls of a multirotor have weave only; remove the others")
         if weave is not None and (weave.airspeed_mps is None) != (kind == "multirotor"):
-            raise ValueError("set controls.weave.airspeed_mps for a fixed wing and no other")
+            raise ValueError(
+                "controls.weave.airspeed_mps is for a fixed wing only, which needs it; "
+                f"{'remove' if kind == 'multirotor' else 'add'} it"
+            )
 
 
 def open_scenario(path: str | Path | None) -> Document:

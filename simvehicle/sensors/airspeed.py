@@ -25,7 +25,7 @@ class Airspeed(CompiledSensor, frozen=True, kw_only=True):
 
 @inlined
 def measure_airspeed(flight: Any, sensor: Any) -> None:
-    """Values: the differential pressure [Pa]."""
+    """Sample the differential pressure [Pa] into `values`."""
     here = flight.here
     u, v, w = here[AIR_VELOCITY], here[AIR_VELOCITY + 1], here[AIR_VELOCITY + 2]
     pressure = 0.5 * here[AIR + 2] * (u * u + v * v + w * w)

@@ -32,7 +32,7 @@ class Barometer(CompiledSensor, frozen=True, kw_only=True):
 
 @inlined
 def measure_pressure(flight: Any, sensor: Any) -> None:
-    """Values: pressure [Pa], its altitude [m] and the temperature [degrees Celsius]."""
+    """Sample pressure [Pa], its altitude [m] and temperature [degrees Celsius] into `values`."""
     kelvin = flight.here[AIR + 1]
     error = sensor.errors[sensor.row, 0]
     drift = sensor.constants[0] * (kelvin - SEA_LEVEL_K)

@@ -19,17 +19,10 @@ class CompiledSensor(SensorParameters, frozen=True, kw_only=True):
 
     kind: ClassVar[int]
 
-    def new_state(self, rng: np.random.Generator) -> list[NoiseState]:
-        """Draw the constant errors and the first block of each noise model."""
-        return [
-            getattr(self, name).new_state(rng, count, self.rate_hz)
-            for name, count in self.channels.items()
-        ]
-
-    def next_errors(self, state: list[NoiseState], rng: np.random.Generator) -> list[NoiseState]:
+    def next_blocks(self, state: list[NoiseState], rng: np.random.Generator) -> list[NoiseState]:
         """Draw the next block of each noise model."""
         return [
-            getattr(self, name).refill(noise, rng, self.rate_hz)
+            self.noise_model(name).refill(noise, rng, self.rate_hz)
             for name, noise in zip(self.channels, state, strict=True)
         ]
 
@@ -37,4 +30,4 @@ class CompiledSensor(SensorParameters, frozen=True, kw_only=True):
         """Write the parameters to a record of `SENSOR`."""
         record["kind"], record["id"], record["rate_hz"] = self.kind, self.id, self.rate_hz
         for at, name in enumerate(self.channels):
-            record["scale"][at] = getattr(self, name).scale
+            record["scale"][at] = self.noise_model(name).scale

@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled
 
-Array = NDArray[np.float64]
 # Two seconds of an IMU at 250 Hz: long enough to amortise the calls to numpy, short enough to keep
 # a state small.
 BLOCK = 512

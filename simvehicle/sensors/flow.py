@@ -5,7 +5,7 @@ about the body x and y axes as a gyro would measure it, so a pure rotation of th
 flow equal to the gyro's.
 """
 
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,13 +15,6 @@ from simvehicle.sensors.rangefinder import check_range_limits, slant_range
 from simvehicle.sensors.readings import FlowReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
-
-
-class FlowState(NamedTuple):
-    """Noise of flow and gyro."""
-
-    flow: NoiseState
-    gyro: NoiseState
 
 
 class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
@@ -39,18 +32,12 @@ class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
         super().__post_init__()
         check_range_limits(self.min_m, self.max_m)
 
-    def new_state(self, rng: np.random.Generator) -> FlowState:
-        """Draw the constant errors."""
-        rate = self.rate_hz
-        return FlowState(self.flow.new_state(rng, 2, rate), self.gyro.new_state(rng, 3, rate))
-
     def sample(
-        self, truth: Truth, state: FlowState, rng: np.random.Generator
-    ) -> tuple[FlowReading, FlowState]:
+        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
+    ) -> tuple[FlowReading, list[NoiseState]]:
         """One reading; quality is 0 if the ground is out of range."""
-        (flow_x, flow_y), flow_state = self.flow.next(state.flow, rng, self.rate_hz)
         # The flow board has its own gyro, with errors independent of the IMU's.
-        (gyro_x, gyro_y, gyro_z), gyro_state = self.gyro.next(state.gyro, rng, self.rate_hz)
+        ((flow_x, flow_y), (gyro_x, gyro_y, gyro_z)), state = self.next_errors(state, rng)
         dt = 1.0 / self.rate_hz
         distance = slant_range(truth)
         p, q, r = truth.omega_b_rps.tolist()
@@ -65,5 +52,4 @@ class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
             # rolling left.
             x, y = gain * (p - vy / distance), gain * (q + vx / distance)
             flow, shown, quality = ((x + flow_x) * dt, (y + flow_y) * dt), distance, 255
-        reading = FlowReading(truth.t_us, dt, flow, gyro, shown, quality)
-        return reading, FlowState(flow_state, gyro_state)
+        return FlowReading(truth.t_us, dt, flow, gyro, shown, quality), state

@@ -4,7 +4,7 @@ Model: Beard and McLain, Small Unmanned Aircraft, 2012, section 7.5.
 """
 
 import math
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import msgspec
 import numpy as np
@@ -14,14 +14,6 @@ from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import GpsReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
-
-
-class GpsState(NamedTuple):
-    """Noise of position (north, east, down) and velocity."""
-
-    horizontal: NoiseState
-    vertical: NoiseState
-    velocity: NoiseState
 
 
 class GpsError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -41,7 +33,7 @@ class GpsError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 class Gps(SensorParameters, frozen=True, kw_only=True):
     """Measures position and velocity, and reports the quality fields of HIL_GPS."""
 
-    channels: ClassVar = {"velocity": 3}
+    channels: ClassVar = {"horizontal": 2, "vertical": 1, "velocity": 3}
 
     rate_hz: float = 5.0
     horizontal: GpsError = GpsError(kick_m=0.0)
@@ -51,26 +43,18 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
     eph_m: float = 1.0
     epv_m: float = 1.5
 
-    def new_state(self, rng: np.random.Generator) -> GpsState:
-        """Draw the first position error from its stationary distribution."""
-        rate = self.rate_hz
-        return GpsState(
-            self.horizontal.noise(rate).new_state(rng, 2, rate),
-            self.vertical.noise(rate).new_state(rng, 1, rate),
-            self.velocity.new_state(rng, 3, rate),
-        )
+    def noise_model(self, name: str) -> NoiseModel:
+        """The noise model of that name; the position's is a Gauss-Markov process."""
+        error: NoiseModel | GpsError = getattr(self, name)
+        return error.noise(self.rate_hz) if isinstance(error, GpsError) else error
 
     def sample(
-        self, truth: Truth, state: GpsState, rng: np.random.Generator
-    ) -> tuple[GpsReading, GpsState]:
+        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
+    ) -> tuple[GpsReading, list[NoiseState]]:
         """One solution."""
-        rate = self.rate_hz
-        plane, horizontal = self.horizontal.noise(rate).next(state.horizontal, rng, rate)
-        height, vertical = self.vertical.noise(rate).next(state.vertical, rng, rate)
-        speed, velocity = self.velocity.next(state.velocity, rng, rate)
+        ((north, east), (up,), speed), state = self.next_errors(state, rng)
         # Convert metres of error to radians on the ellipsoid, at the vehicle's height.
         meridian, prime = curvature_radii(truth.lat_rad)
-        north, east = plane
         vn, ve, vd = truth.v_ned_mps.tolist()
         gain = 1.0 + self.velocity.scale
         lat = truth.lat_rad + north / (float(meridian) + truth.height_m)
@@ -79,7 +63,7 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
             truth.t_us,
             math.degrees(lat),
             math.degrees(lon),
-            truth.alt_msl_m + height[0],
+            truth.alt_msl_m + up,
             (gain * vn + speed[0], gain * ve + speed[1], gain * vd + speed[2]),
             3,  # MAVLink's fix_type: three-dimensional
             self.satellites,
@@ -87,4 +71,4 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
             self.epv_m,
             self.id,
         )
-        return reading, GpsState(horizontal, vertical, velocity)
+        return reading, state

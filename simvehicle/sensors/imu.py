@@ -31,7 +31,7 @@ class ImuSensor(CompiledSensor, frozen=True, kw_only=True):
 
 @inlined
 def measure_imu(flight: Any, sensor: Any) -> None:
-    """Values: specific force, then rates."""
+    """Sample specific force [m/s^2], then body rates [rad/s], into `values`."""
     rates = (flight.x[P], flight.x[P + 1], flight.x[P + 2])
     force = (flight.load[FORCE], flight.load[FORCE + 1], flight.load[FORCE + 2])
     row, scale, limit = sensor.errors[sensor.row], sensor.scale, sensor.limit

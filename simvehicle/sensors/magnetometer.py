@@ -36,7 +36,7 @@ class Magnetometer(CompiledSensor, frozen=True, kw_only=True):
 
 @inlined
 def measure_field(flight: Any, sensor: Any) -> None:
-    """Values: the field."""
+    """Sample the field in body axes [gauss] into `values`."""
     e0, e1, e2, e3 = ATTITUDE, ATTITUDE + 1, ATTITUDE + 2, ATTITUDE + 3
     here, field, row = flight.here, sensor.constants, sensor.errors[sensor.row]
     true = _to_body((here[e0], here[e1], here[e2], here[e3]), (field[0], field[1], field[2]))

@@ -38,15 +38,11 @@ class Rangefinder(SensorParameters, frozen=True, kw_only=True):
         super().__post_init__()
         check_range_limits(self.min_m, self.max_m)
 
-    def new_state(self, rng: np.random.Generator) -> NoiseState:
-        """Draw the constant error."""
-        return self.noise.new_state(rng, 1, self.rate_hz)
-
     def sample(
-        self, truth: Truth, state: NoiseState, rng: np.random.Generator
-    ) -> tuple[RangeReading, NoiseState]:
+        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
+    ) -> tuple[RangeReading, list[NoiseState]]:
         """One reading."""
-        error, state = self.noise.next(state, rng, self.rate_hz)
+        (error,), state = self.next_errors(state, rng)
         distance = (1.0 + self.noise.scale) * slant_range(truth) + error[0]
         # Clamped, as drivers do; estimators compare with the limits in the message.
         distance = min(self.max_m, max(self.min_m, distance))

@@ -7,10 +7,9 @@ ten times as long, and an array of three numbers longer than the measurement.
 """
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from mavproxy_fault.numerics.arrays import Array
+
 Triple = tuple[float, float, float]
 
 
@@ -41,9 +40,9 @@ class PseudorangeReading(msgspec.Struct, frozen=True, gc=False):
     week: int
     tow_s: float
     satellites: tuple[str, ...]
-    pseudorange_m: Vector
-    doppler_mps: Vector
-    cn0_dbhz: Vector
+    pseudorange_m: Array
+    doppler_mps: Array
+    cn0_dbhz: Array
 
 
 class EphemerisReading(msgspec.Struct, frozen=True, gc=False):

@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Protocol
 import msgspec
 import numpy as np
 
+from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.body import Truth
 
@@ -33,7 +34,8 @@ class Sensor(Protocol):
 class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters common to all sensors; `latency_s` is the delay from measurement to delivery.
 
-    `channels` is the number of channels of each of the sensor's noise models.
+    `channels` is the number of channels of each of the sensor's noise models, whose states together
+    are the state of the sensor.
     """
 
     channels: ClassVar[Mapping[str, int]] = {}
@@ -51,8 +53,30 @@ class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         if not 0 <= self.id <= 255:
             raise ValueError(f"id = {self.id} is out of range; 0 to 255 is allowed")
         for name, count in self.channels.items():
-            bias = getattr(self, name).bias
+            bias = self.noise_model(name).bias
             if isinstance(bias, list) and len(bias) != count:
                 raise ValueError(
                     f"{name}.bias has {len(bias)} numbers; one, or a list of {count}, is allowed"
                 )
+
+    def noise_model(self, name: str) -> NoiseModel:
+        """The noise model of that name."""
+        model: NoiseModel = getattr(self, name)
+        return model
+
+    def new_state(self, rng: np.random.Generator) -> list[NoiseState]:
+        """Draw the constant errors and the first block of each noise model."""
+        return [
+            self.noise_model(name).new_state(rng, count, self.rate_hz)
+            for name, count in self.channels.items()
+        ]
+
+    def next_errors(
+        self, state: list[NoiseState], rng: np.random.Generator
+    ) -> tuple[list[list[float]], list[NoiseState]]:
+        """The errors of the next sample, a list for each noise model, and the next state."""
+        drawn = [
+            self.noise_model(name).next(noise, rng, self.rate_hz)
+            for name, noise in zip(self.channels, state, strict=True)
+        ]
+        return [errors for errors, _ in drawn], [noise for _, noise in drawn]

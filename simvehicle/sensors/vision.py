@@ -1,6 +1,6 @@
 """Pose and velocity from visual odometry or motion capture."""
 
-from typing import ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,14 +10,6 @@ from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import Triple, VisionReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
-
-
-class VisionState(NamedTuple):
-    """Noise of position, velocity and attitude."""
-
-    position: NoiseState
-    velocity: NoiseState
-    attitude: NoiseState
 
 
 class Vision(SensorParameters, frozen=True, kw_only=True):
@@ -35,24 +27,12 @@ class Vision(SensorParameters, frozen=True, kw_only=True):
     attitude: NoiseModel = NoiseModel()
     message: Literal["ODOMETRY", "VISION_POSITION_ESTIMATE"] = "ODOMETRY"
 
-    def new_state(self, rng: np.random.Generator) -> VisionState:
-        """Draw the constant errors."""
-        rate = self.rate_hz
-        return VisionState(
-            self.position.new_state(rng, 3, rate),
-            self.velocity.new_state(rng, 3, rate),
-            self.attitude.new_state(rng, 3, rate),
-        )
-
     def sample(
-        self, truth: Truth, state: VisionState, rng: np.random.Generator
-    ) -> tuple[VisionReading, VisionState]:
+        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
+    ) -> tuple[VisionReading, list[NoiseState]]:
         """One reading."""
-        rate = self.rate_hz
-        place, position = self.position.next(state.position, rng, rate)
-        speed, velocity = self.velocity.next(state.velocity, rng, rate)
         # The attitude error is a small rotation in body axes, without scale.
-        tilt, attitude = self.attitude.next(state.attitude, rng, rate)
+        (place, speed, tilt), state = self.next_errors(state, rng)
         reading = VisionReading(
             truth.t_us,
             _apply_errors(truth.r_ned_m, self.position.scale, place),
@@ -63,7 +43,7 @@ class Vision(SensorParameters, frozen=True, kw_only=True):
             max(self.velocity.sigma, 0.01),
             self.message == "ODOMETRY",
         )
-        return reading, VisionState(position, velocity, attitude)
+        return reading, state
 
 
 def _apply_errors(true: NDArray[np.float64], scale: float, error: list[float]) -> Triple:

@@ -1,13 +1,15 @@
 """The sensors on board, each with its own state, random stream and sampling times."""
 
 import math
+from datetime import datetime
 from typing import Any
 from zlib import crc32
 
 import msgspec
 import numpy as np
 
-from simvehicle.environment.geomagnetism import field_ned_gauss
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.magnetic_field import magnetic_field_gauss
 from simvehicle.gnss.gnss_sensor import gnss_sensor
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.sensors.compiled_sensor import CompiledSensor
@@ -54,7 +56,7 @@ class CompiledOnboardSensor(OnboardSensor):
     def refill(self) -> None:
         """Draw the next block of errors if the last one is used up."""
         if self.record["row"] == BLOCK:
-            self.state = self.sensor.next_errors(self.state, self.rng)
+            self.state = self.sensor.next_blocks(self.state, self.rng)
             self._put_errors()
 
     def _put_errors(self) -> None:
@@ -89,3 +91,22 @@ def create_onboard_sensors(
         for each, record in zip(fast, records, strict=True)
     ]
     return compiled, [OnboardSensor(*each, seed) for each in found if each not in fast], records
+
+
+def field_ned_gauss(
+    lat_deg: float, lon_deg: float, height_m: float, time: datetime
+) -> tuple[float, float, float]:
+    """The Earth's magnetic field (north, east, down) at a position and time [gauss].
+
+    Raises
+    ------
+    ConfigError
+        If no model covers the time.
+    """
+    try:
+        return magnetic_field_gauss(lat_deg, lon_deg, height_m, time)
+    except ValueError:
+        raise ConfigError(
+            f"start.time = {time:%Y-%m-%d} has no world magnetic model; use 2010 to 2029, "
+            "or set sensors.mag.field_ned_gauss"
+        ) from None

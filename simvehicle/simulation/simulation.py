@@ -11,9 +11,9 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
 from simvehicle.environment.geolocation import (
     AIR,
@@ -49,7 +49,6 @@ from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.rigidbody_kernel import RIGID_SIZE, P, U
 from simvehicle.vehicles.vehicle import VOLTS
 
-Array = NDArray[np.float64]
 NEVER_US = 2**62  # of an event that never comes
 _WIND_PLANT_NAMES = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled
 from simvehicle.environment.air import step_wind
 from simvehicle.environment.geolocation import (
@@ -18,7 +19,7 @@ from simvehicle.sensors.measure_kernel import measure
 from simvehicle.vehicles.fixedwing import fixedwing_flight
 from simvehicle.vehicles.multirotor import multirotor_flight
 from simvehicle.vehicles.rigidbody_kernel import DOWN
-from simvehicle.vehicles.vehicle import Array, pack_surroundings
+from simvehicle.vehicles.vehicle import pack_surroundings
 
 LONGEST_STEP_S = 0.005  # ground contact is stiff: 40 rad/s needs steps of a few ms
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simvehicle.environment.air import GUST_DRAWS, GUST_LEVELS, STEADY_WIND, Gusts
-from simvehicle.scenario.scenario_file import Environment, GustChoice
+from simvehicle.scenario.scenario_file import Environment
 from simvehicle.sensors.error_model import BLOCK
 
 _NO_SHEAR = (1.0, 0.0)
@@ -28,7 +28,8 @@ class Weather:
         # The first-order filter starts stationary, the others at zero.
         flight["filters"][0] = self._rng.standard_normal()
         flight["draws"] = self._rng.standard_normal((BLOCK, GUST_DRAWS))
-        gusts, shear = _gusts(environment), environment.shear
+        gusts, shear = environment.gusts, environment.shear
+        gusts = gusts if isinstance(gusts, Gusts) else GUST_LEVELS[gusts]
         law = (shear.reference_m, shear.exponent) if shear else _NO_SHEAR
         flight["weather"] = [*gusts.sigma_mps, *gusts.length_m, *law, *environment.wind_ned_mps]
         self.steady_mps: NDArray[np.float64] = flight["weather"][STEADY_WIND:]
@@ -38,10 +39,3 @@ class Weather:
         if self._flight["row"] == BLOCK - 1:
             self._flight["draws"] = self._rng.standard_normal((BLOCK, GUST_DRAWS))
             self._flight["row"] = -1
-
-
-def _gusts(environment: Environment) -> Gusts:
-    choice = environment.gusts
-    if isinstance(choice, GustChoice):
-        return Gusts(choice.sigma_mps, choice.length_m)
-    return GUST_LEVELS[choice]

@@ -14,9 +14,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.wire.frame import Frame
-from simvehicle.vehicles.body import Controls, Vector
+from simvehicle.vehicles.body import Controls
 
 ARMED_FLAG = 128  # MAV_MODE_FLAG_SAFETY_ARMED in HIL_ACTUATOR_CONTROLS.mode
 CHANNEL_COUNT = 16
@@ -25,7 +26,7 @@ RUDDER, THROTTLE, LEFT_AILERON, RIGHT_AILERON, ELEVATOR = 2, 4, 5, 6, 7
 # Places in the payload of HIL_ACTUATOR_CONTROLS, and its size
 STAMP, CHANNELS, MODE, PAYLOAD_SIZE = 0, 16, 80, 81
 
-Mix = Callable[[Sequence[float]], Vector]
+Mix = Callable[[Sequence[float]], Array]
 
 
 def motor_mix(count: int) -> Mix:
@@ -33,12 +34,12 @@ def motor_mix(count: int) -> Mix:
     return lambda channels: _mixed(channels, np.empty(count), wing=0)
 
 
-def plane_mix(channels: Sequence[float]) -> Vector:
+def plane_mix(channels: Sequence[float]) -> Array:
     """Map channels to elevator, aileron, rudder (-1 to 1) and throttle (0 to 1)."""
     return _mixed(channels, np.empty(4), wing=1)
 
 
-def _mixed(channels: Sequence[float], out: Vector, wing: int) -> Vector:
+def _mixed(channels: Sequence[float], out: Array, wing: int) -> Array:
     mix_channels(np.asarray(channels, dtype=np.float64), wing, out)
     return out
 
@@ -49,7 +50,7 @@ def _limited(value: float, low: float) -> float:
 
 
 @compiled
-def mix_channels(channels: Vector, wing: int, out: Vector) -> None:
+def mix_channels(channels: Array, wing: int, out: Array) -> None:
     """Actuator commands (n,) of PX4's channels (16,): those of a fixed wing, or motors."""
     if wing:
         # PX4's surface signs are opposite to Beard and McLain's; see the module docstring.
@@ -64,7 +65,7 @@ def mix_channels(channels: Vector, wing: int, out: Vector) -> None:
 
 
 @compiled
-def read_channels(payload: NDArray[np.uint8], out: Vector) -> None:
+def read_channels(payload: NDArray[np.uint8], out: Array) -> None:
     """The channels (16,) of HIL_ACTUATOR_CONTROLS; one that is not finite means off, and is 0."""
     channels = payload[CHANNELS : CHANNELS + 4 * CHANNEL_COUNT].view(np.float32)
     for i in range(CHANNEL_COUNT):

@@ -3,17 +3,15 @@
 from dataclasses import dataclass
 
 import msgspec
-import numpy as np
-from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from mavproxy_fault.numerics.arrays import Array
 
 
 @dataclass(frozen=True, slots=True)
 class Controls:
     """Actuator commands; motors 0 to 1, surfaces -1 to 1 of full throw."""
 
-    values: Vector
+    values: Array
     armed: bool = True
 
 
@@ -33,13 +31,13 @@ class Truth(msgspec.Struct, frozen=True, gc=False):
     height_m: float
     alt_msl_m: float
     height_agl_m: float
-    r_ned_m: Vector
-    v_ned_mps: Vector
-    q_nb: Vector
-    omega_b_rps: Vector
-    specific_force_b_mps2: Vector
-    v_air_b_mps: Vector
-    wind_ned_mps: Vector
+    r_ned_m: Array
+    v_ned_mps: Array
+    q_nb: Array
+    omega_b_rps: Array
+    specific_force_b_mps2: Array
+    v_air_b_mps: Array
+    wind_ned_mps: Array
     pressure_pa: float
     temperature_k: float
     density_kgpm3: float

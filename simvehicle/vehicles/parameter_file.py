@@ -1,9 +1,9 @@
-"""The common part of vehicle parameter files: location, moments of inertia, battery."""
+"""The common part of vehicle parameter files: location, mass, gear and battery."""
 
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import msgspec
 
@@ -16,7 +16,11 @@ from simvehicle.vehicles.rigidbody_kernel import Inertia, inertia_coefficients
 T = TypeVar("T")
 
 
-class InertiaMoments(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ParameterSection(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of the sections: unknown keys are errors."""
+
+
+class InertiaMoments(ParameterSection, frozen=True):
     """Moments of inertia about the centre of mass [kg m^2]."""
 
     jx: float
@@ -25,27 +29,7 @@ class InertiaMoments(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     jxz: float = 0.0
 
 
-class HasMass(Protocol):
-    """Parameters with mass and moments of inertia."""
-
-    @property
-    def mass_kg(self) -> float:
-        """Mass of the complete vehicle."""
-
-    @property
-    def inertia_kgm2(self) -> InertiaMoments:
-        """Moments of inertia about its centre of mass."""
-
-
-def body_inertia(parameters: HasMass, plant: Mapping[str, float]) -> Inertia:
-    """Mass and inertia, with the plant faults `mass_kg_add` and `inertia_scale`."""
-    # All scaled together, so that the principal axes stay.
-    j, scale = parameters.inertia_kgm2, plant.get("inertia_scale", 1.0)
-    mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
-    return inertia_coefficients(mass, scale * j.jx, scale * j.jy, scale * j.jz, scale * j.jxz)
-
-
-class BatteryParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class BatteryParameters(ParameterSection, frozen=True):
     """A lithium-polymer pack, modelled in `battery_kernel`.
 
     `full_throttle_a` is the current at full throttle, for a vehicle without a motor model.
@@ -56,14 +40,39 @@ class BatteryParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
     resistance_ohm: float
     full_throttle_a: float = 0.0
 
-    def supply(
-        self, full_throttle_a: float, voltage_scale: float, resistance_scale: float
-    ) -> BatterySupply:
+    def supply(self, plant: Mapping[str, float]) -> BatterySupply:
         """The pack in the kernel's form, with plant faults."""
         return BatterySupply(
-            self.cells, self.capacity_ah, self.resistance_ohm, full_throttle_a,
-            voltage_scale, resistance_scale,
-        )  # fmt: skip
+            self.cells,
+            self.capacity_ah,
+            self.resistance_ohm,
+            self.full_throttle_a,
+            plant.get("battery_voltage_scale", 1.0),
+            plant.get("battery_resistance_scale", 1.0),
+        )
+
+
+class VehicleParameters(ParameterSection, frozen=True):
+    """What all vehicles have; `gear_m` are the points that touch the ground, in body axes."""
+
+    name: str
+    source: str
+    mass_kg: float
+    inertia_kgm2: InertiaMoments
+    gear_m: list[tuple[float, float, float]]
+    battery: BatteryParameters
+    cruise_mps: float
+
+    def __post_init__(self) -> None:
+        body_inertia(self, {})  # refuses impossible moments of inertia
+
+
+def body_inertia(parameters: VehicleParameters, plant: Mapping[str, float]) -> Inertia:
+    """Mass and inertia, with the plant faults `mass_kg_add` and `inertia_scale`."""
+    # All scaled together, so that the principal axes stay.
+    j, scale = parameters.inertia_kgm2, plant.get("inertia_scale", 1.0)
+    mass = parameters.mass_kg + plant.get("mass_kg_add", 0.0)
+    return inertia_coefficients(mass, scale * j.jx, scale * j.jy, scale * j.jz, scale * j.jxz)
 
 
 def parameter_path(name: str | Path) -> Path:

@@ -3,12 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import inlined
-
-Array = NDArray[np.float64]
 
 # Start of each item in `pack_surroundings`, and in the load of `advance`
 WIND, GRAVITY, DENSITY, GROUND, BATTERY_SAG, SURROUNDINGS_SIZE = 0, 3, 6, 7, 8, 9

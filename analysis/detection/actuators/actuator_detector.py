@@ -20,7 +20,7 @@ from analysis.detection.actuators.alarm_precedence import ACTUATORS
 from analysis.detection.actuators.effects import AXES, Effects
 from analysis.detection.actuators.motion_bins import MotionBins
 from analysis.detection.actuators.motion_filter import initial_motion_model
-from analysis.detection.detector_registry import BlockDetector
+from analysis.detection.detector_registry import BlockDetector, RowResults
 from analysis.results import OR_SEPARATOR, SensorDecision
 from analysis.samples.block import COMMAND, Block
 
@@ -36,7 +36,7 @@ class ActuatorDetector(BlockDetector, frozen=True):
 
     def step(
         self, block: Block, state: ActuatorResponse | None
-    ) -> tuple[list[tuple[int, SensorDecision]], ActuatorResponse | None]:
+    ) -> tuple[RowResults, ActuatorResponse | None]:
         """The results of the next samples by row, and the state, which is changed in place."""
         if state is None:
             if not (block.kind == COMMAND).any():

@@ -182,5 +182,5 @@ def initial_motion_model(effects: Effects) -> MotionModel:
 
 
 def _memory_share(memory_s: float, bins: int) -> float:
-    """The weight of a bin in a memory, larger in the first bins."""
+    """The weight of a new bin in a running mean over `memory_s`, larger in the first bins."""
     return max(BIN_S / memory_s, EARLY_SHARE / (bins + EARLY_SHARE))

@@ -10,6 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from analysis.detection.detector_registry import RowResults
 from analysis.results import SensorDecision
 from analysis.samples.block import FIX, IMU, IMU_ID, MAG, Block
 
@@ -32,7 +33,7 @@ def field_alarms(
     state: State,
     add_gyro: Callable[[int, Axis, State], None],
     add_field: Callable[[int, Axis, State], SensorDecision | None],
-) -> list[tuple[int, SensorDecision]]:
+) -> RowResults:
     """Give a detector the samples of gyro and compass in turn, and return its alarms by row."""
     found = []
     for row, kind, t_us, (x, y, z, *_) in compass_samples(block):

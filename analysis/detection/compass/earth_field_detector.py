@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from analysis.detection.compass.compass_samples import ZERO, Axis, add, compass_samples, dot
-from analysis.detection.detector_registry import BlockDetector
+from analysis.detection.detector_registry import BlockDetector, RowResults
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import FIX, FIX_3D, FIX_TYPE, FORCE, MAG, Block
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
@@ -98,9 +98,7 @@ class EarthFieldDetector(BlockDetector, frozen=True):
             state.set_model(self.field_ned_gauss)
         return state
 
-    def step(
-        self, block: Block, state: EarthFieldState
-    ) -> tuple[list[tuple[int, SensorDecision]], EarthFieldState]:
+    def step(self, block: Block, state: EarthFieldState) -> tuple[RowResults, EarthFieldState]:
         """The alarms of the next samples by row, and the state, which is changed in place."""
         found = []
         for row, kind, t_us, values in compass_samples(block):

@@ -24,7 +24,7 @@ from analysis.detection.compass.turn_detector import (
     STEP_US,
     turn_alarm,
 )
-from analysis.detection.detector_registry import BlockDetector
+from analysis.detection.detector_registry import BlockDetector, RowResults
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import NEVER_US, Block
 
@@ -81,14 +81,9 @@ class MeanTurnDetector(BlockDetector, frozen=True):
     """Tests the sum of r over five seconds."""
 
     channels: ClassVar = frozenset({"imu", "mag"})
+    state: ClassVar = MeanTurnState
 
-    def new_state(self) -> MeanTurnState:
-        """No sample has come yet."""
-        return MeanTurnState()
-
-    def step(
-        self, block: Block, state: MeanTurnState
-    ) -> tuple[list[tuple[int, SensorDecision]], MeanTurnState]:
+    def step(self, block: Block, state: MeanTurnState) -> tuple[RowResults, MeanTurnState]:
         """The alarms of the next samples by row, and the state, which is changed in place."""
         return field_alarms(block, state, _add_gyro, _add_field), state
 

@@ -24,7 +24,7 @@ from analysis.detection.compass.compass_samples import (
     dot,
     field_alarms,
 )
-from analysis.detection.detector_registry import BlockDetector
+from analysis.detection.detector_registry import BlockDetector, RowResults
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import NEVER_US, Block
 from mavproxy_fault.numerics.rotations.one_rotation import rotate_quaternion, rotate_to_body
@@ -85,14 +85,9 @@ class TurnDetector(BlockDetector, frozen=True):
     """Compares the turns over four seconds."""
 
     channels: ClassVar = frozenset({"imu", "mag"})
+    state: ClassVar = TurnState
 
-    def new_state(self) -> TurnState:
-        """No sample has come yet."""
-        return TurnState()
-
-    def step(
-        self, block: Block, state: TurnState
-    ) -> tuple[list[tuple[int, SensorDecision]], TurnState]:
+    def step(self, block: Block, state: TurnState) -> tuple[RowResults, TurnState]:
         """The alarms of the next samples by row, and the state, which is changed in place."""
         return field_alarms(block, state, _add_gyro, _add_field), state
 

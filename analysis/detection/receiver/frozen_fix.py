@@ -6,7 +6,7 @@ that has never repeated itself does not begin to; one that has is exempt.
 
 from typing import ClassVar, NamedTuple
 
-from analysis.detection.detector_registry import BlockDetector
+from analysis.detection.detector_registry import BlockDetector, RowResults
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import FIX, FIX_3D, Block
 from analysis.samples.sample import GpsFix
@@ -74,14 +74,9 @@ class FrozenFixDetector(BlockDetector, frozen=True):
     """Counts repetitions of a receiver's fix."""
 
     channels: ClassVar = frozenset({"gps-position"})
+    state: ClassVar = FrozenFixState
 
-    def new_state(self) -> FrozenFixState:
-        """No fix has come yet."""
-        return FrozenFixState()
-
-    def step(
-        self, block: Block, state: FrozenFixState
-    ) -> tuple[list[tuple[int, SensorDecision]], FrozenFixState]:
+    def step(self, block: Block, state: FrozenFixState) -> tuple[RowResults, FrozenFixState]:
         """The alarms of the next samples, each with its row, and the next state."""
         results = []
         for row in block.rows(FIX).tolist():

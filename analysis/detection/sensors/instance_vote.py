@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from analysis.detection.detector_registry import BlockDetector
+from analysis.detection.detector_registry import BlockDetector, RowResults
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import (
     BARO,
@@ -104,20 +104,16 @@ class InstanceVoteDetector(BlockDetector, frozen=True):
         """No sample has come yet."""
         return [VoteState(len(voters.limits)) for voters in VOTERS]
 
-    def step(
-        self, block: Block, state: list[VoteState]
-    ) -> tuple[list[tuple[int, SensorDecision]], list[VoteState]]:
+    def step(self, block: Block, state: list[VoteState]) -> tuple[RowResults, list[VoteState]]:
         """The alarms of the next samples by row, and the state, which is changed in place."""
-        results: list[tuple[int, SensorDecision]] = []
+        results: RowResults = []
         spare = block.rows(SPARE)
         for voters, own in zip(VOTERS, state, strict=True):
             results += _vote(block, spare, voters, own)
         return results, state
 
 
-def _vote(
-    block: Block, spare: Indices, voters: VoterKind, state: VoteState
-) -> list[tuple[int, SensorDecision]]:
+def _vote(block: Block, spare: Indices, voters: VoterKind, state: VoteState) -> RowResults:
     rows, ids = _rows(block, spare, voters.kind)
     # Only the first sensor has samples so far.
     if state.window is None and not ids.any():
@@ -126,7 +122,7 @@ def _vote(
     known = (ids >= 0) & (ids < MOST_INSTANCES) & np.isfinite(numbers).all(axis=1)
     rows, ids, numbers = rows[known], ids[known], numbers[known]
     windows = block.t_us[rows] // voters.window_us
-    results: list[tuple[int, SensorDecision]] = []
+    results: RowResults = []
     for begin, end in _runs(windows):
         row, window = int(rows[begin]), int(windows[begin])
         if window != state.window:

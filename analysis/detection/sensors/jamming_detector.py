@@ -13,7 +13,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from analysis.detection.detector_registry import BlockDetector
+from analysis.detection.detector_registry import BlockDetector, RowResults
 from analysis.detection.values import Value
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import EPOCH, Block
@@ -51,7 +51,7 @@ class SignalState(Value, frozen=True):
     """The satellites' strengths, since when the signals of some bands are weak (None: they are
     not), at how many epochs of each band, and when that was reported last."""
 
-    strengths: dict[str, SignalStrength]
+    strengths: Mapping[str, SignalStrength] = {}
     fallen_since_us: int | None = None
     fallen_epochs: Mapping[int, int] = {}
     reported_us: int | None = None
@@ -61,14 +61,9 @@ class JammingDetector(BlockDetector, frozen=True):
     """Tests the median loss of C/N0 in each band."""
 
     channels: ClassVar = frozenset({"satellites"})
+    state: ClassVar = SignalState
 
-    def new_state(self) -> SignalState:
-        """No epoch has come yet."""
-        return SignalState({})
-
-    def step(
-        self, block: Block, state: SignalState
-    ) -> tuple[list[tuple[int, SensorDecision]], SignalState]:
+    def step(self, block: Block, state: SignalState) -> tuple[RowResults, SignalState]:
         """The alarms of the next samples, each with its row, and the next state."""
         results = []
         for row in block.rows(EPOCH).tolist():
@@ -119,7 +114,7 @@ def _bands(epoch: Epoch) -> list[int]:
 
 
 def _losses(
-    cn0_now: dict[str, float], strengths: dict[str, SignalStrength]
+    cn0_now: dict[str, float], strengths: Mapping[str, SignalStrength]
 ) -> dict[int, list[float]]:
     """The satellites' losses relative to their means, by band; only of those known for a while."""
     results: dict[int, list[float]] = {}

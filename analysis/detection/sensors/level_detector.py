@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from analysis.detection.compass.compass_samples import ZERO, Axis, compass_samples
-from analysis.detection.detector_registry import BlockDetector
-from analysis.results import SensorDecision, pattern_alarm
+from analysis.detection.detector_registry import BlockDetector, RowResults
+from analysis.results import pattern_alarm
 from analysis.samples.block import FIX_3D, FIX_TYPE, IMU, MAG, NEVER_US, Block
 
 # A compass averages since its last sample, at most so long; a turn of 0.5 rad reduces it by 1 %
@@ -85,14 +85,9 @@ class LevelDetector(BlockDetector, frozen=True):
     """Tests the field's size and the fix type."""
 
     channels: ClassVar = frozenset({"mag", "gps-position"})
+    state: ClassVar = LevelState
 
-    def new_state(self) -> LevelState:
-        """No sample has come yet."""
-        return LevelState()
-
-    def step(
-        self, block: Block, state: LevelState
-    ) -> tuple[list[tuple[int, SensorDecision]], LevelState]:
+    def step(self, block: Block, state: LevelState) -> tuple[RowResults, LevelState]:
         """The alarms of the next samples by row, and the state, which is changed in place."""
         found = []
         for row, kind, t_us, values in compass_samples(block):

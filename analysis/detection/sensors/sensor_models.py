@@ -67,39 +67,14 @@ Outcome = Innovation | SlowStates | str
 Model = Callable[[Vector, FilterView, Vector | None, float, float], Outcome]
 
 
-class SensorNoise(NamedTuple):
-    """One sigma of each sensor, and the walk of its slow states (per square root of a second).
+class SensorModel(NamedTuple):
+    """A sensor's model, one sigma of its noise, and the walk of its slow states per square root of
+    a second; `least_sigma` is that which it may prove to have."""
 
-    `mag_gauss` is the disturbance of any magnetometer by currents and iron, `mag_quiet_gauss` what
-    remains of one that proves to be better mounted. All are chosen for small autopilots' sensors.
-    """
-
-    baro_m: float = 1.0
-    baro_walk_m: float = 0.05
-    airspeed_mps: float = 1.0
-    wind_walk_mps: float = 0.3
-    mag_gauss: float = 0.03
-    mag_quiet_gauss: float = 0.01
-    field_walk_gauss: float = 2e-4
-    vision_m: float = 0.5
-    vision_walk_m: float = 0.1
-    range_m: float = 0.5
-    terrain_walk_m: float = 0.5
-    gps_m: float = 1.5
-    gps_walk_m: float = 0.1
-    gps_mps: float = 0.4
-
-    def of_sensors(self) -> dict[str, tuple[float, float, float]]:
-        """One sigma, one that it may prove to have, and the walk of the slow states, by sensor."""
-        return {
-            "mag": (self.mag_gauss, self.mag_quiet_gauss, self.field_walk_gauss),
-            "baro": (self.baro_m, self.baro_m, self.baro_walk_m),
-            "airspeed": (self.airspeed_mps, self.airspeed_mps, self.wind_walk_mps),
-            "range": (self.range_m, self.range_m, self.terrain_walk_m),
-            "vision": (self.vision_m, self.vision_m, self.vision_walk_m),
-            "gps-position": (self.gps_m, self.gps_m, self.gps_walk_m),
-            "gps-velocity": (self.gps_mps, self.gps_mps, 0.0),
-        }
+    innovation: Model
+    sigma: float
+    least_sigma: float
+    walk: float
 
 
 def view_filter(motion: MotionEstimate, turning_rps: float) -> FilterView:
@@ -230,12 +205,14 @@ def _gps_velocity(
     return Innovation(v, r, np.zeros((count, 0)))
 
 
-MODELS: dict[str, Model] = {
-    "mag": _mag,
-    "baro": _baro,
-    "airspeed": _airspeed,
-    "range": _range,
-    "vision": _vision,
-    "gps-position": _gps_position,
-    "gps-velocity": _gps_velocity,
+# All sigmas are chosen for small autopilots' sensors. A magnetometer's is the disturbance by
+# currents and iron, or what remains of one that proves to be better mounted.
+MODELS = {
+    "mag": SensorModel(_mag, 0.03, 0.01, 2e-4),  # gauss
+    "baro": SensorModel(_baro, 1.0, 1.0, 0.05),  # m
+    "airspeed": SensorModel(_airspeed, 1.0, 1.0, 0.3),  # m/s; the wind walks
+    "range": SensorModel(_range, 0.5, 0.5, 0.5),  # m; the terrain walks
+    "vision": SensorModel(_vision, 0.5, 0.5, 0.1),  # m
+    "gps-position": SensorModel(_gps_position, 1.5, 1.5, 0.1),  # m
+    "gps-velocity": SensorModel(_gps_velocity, 0.4, 0.4, 0.0),  # m/s
 }

@@ -25,12 +25,12 @@ import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector import Detector
+from analysis.detection.detector_registry import RowResults
 from analysis.detection.detector_state import DetectorState
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.sensors.sensor_models import (
     MODELS,
     FilterView,
-    SensorNoise,
     SlowStates,
     view_filter,
 )
@@ -133,7 +133,6 @@ class NavigationDetector:
     """The detector, and the tests of the other sensors with its filter."""
 
     config: DetectorConfig = field(default_factory=DetectorConfig)
-    sensors: SensorNoise = field(default_factory=SensorNoise)
 
     @cached_property
     def detector(self) -> Detector:
@@ -141,16 +140,12 @@ class NavigationDetector:
         return Detector(self.config)
 
     @cached_property
-    def _noise(self) -> dict[str, tuple[float, float, float]]:
-        return self.sensors.of_sensors()
-
-    @cached_property
     def _thresholds(self) -> list[float]:
         return [0.0, *(chi_square_threshold(dof, self.config.p_other) for dof in (1, 2, 3))]
 
     def new_state(self) -> NavigationState:
         """No sample has come yet."""
-        sensors = {name: SensorState(sigma**2) for name, (sigma, _, _) in self._noise.items()}
+        sensors = {name: SensorState(model.sigma**2) for name, model in MODELS.items()}
         return NavigationState(self.detector.new_state(), SensorStates(sensors))
 
     def step(
@@ -194,7 +189,7 @@ class NavigationDetector:
         block: Block,
         decided: Sequence[EpochReference],
         states: SensorStates,
-    ) -> tuple[list[tuple[int, SensorDecision]], SensorStates]:
+    ) -> tuple[RowResults, SensorStates]:
         """The sensors' tests at some decisions."""
         called = {row: (decision, after) for row, decision, after in decided}
         rows = sorted({*np.flatnonzero(_OF_SENSORS[block.kind]).tolist(), *called})
@@ -203,7 +198,7 @@ class NavigationDetector:
             return [], states
         # A copy is changed in place; the given state is not.
         states = states.copy()
-        found: list[tuple[int, SensorDecision]] = []
+        found: RowResults = []
         rates_rps, begin = np.linalg.norm(block.values[imu, :3], axis=1), 0
         for row in rows:
             kind, t_us = int(block.kind[row]), int(block.t_us[row])
@@ -256,12 +251,13 @@ class NavigationDetector:
         self, name: str, state: SensorState, view: FilterView, epoch_us: int, stamp_us: int
     ) -> SensorDecision | None:
         """One sensor's test; None if it only started its slow states."""
-        sigma, least_sigma, walk = self._noise[name]
-        sigma = min(sigma, max(least_sigma, math.sqrt(state.variance)))
+        model = MODELS[name]
+        sigma = min(model.sigma, max(model.least_sigma, math.sqrt(state.variance)))
         slow, late_s = state.slow, (epoch_us - stamp_us) * 1e-6
         # A fix comes later than its stamp; a result is not older than its sample.
         t_us = max(epoch_us, stamp_us)
-        outcome = MODELS[name](state.z, view, None if slow is None else slow.b, late_s, sigma)
+        known = None if slow is None else slow.b
+        outcome = model.innovation(state.z, view, known, late_s, sigma)
         if isinstance(outcome, str):
             return _untested(t_us, name, state, outcome)
         elapsed_s = max((epoch_us - state.slow_us) * 1e-6, 0.0)
@@ -271,7 +267,7 @@ class NavigationDetector:
             state.slow = outcome
             return None
         v, r, h = outcome
-        p = slow.p + walk**2 * elapsed_s * np.eye(len(slow.b))
+        p = slow.p + model.walk**2 * elapsed_s * np.eye(len(slow.b))
         ph = p @ h.T
         inverse = invert_positive_definite(h @ ph + r)
         statistic, threshold = float(v @ inverse @ v), self._thresholds[len(v)]
@@ -322,10 +318,6 @@ def _untested(t_us: int, name: str, state: SensorState, reason: str) -> SensorDe
     return SensorDecision(
         t_us=t_us,
         sensor=name,
-        statistic=None,
-        threshold=None,
-        dof=0,
-        alarm=False,
         isolated=state.isolated,
         reason=reason,
     )

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from analysis.detection.detector_registry import BlockDetector
+from analysis.detection.detector_registry import BlockDetector, RowResults
 from analysis.detection.streams.stream_rate import SINKING_SHARE
 from analysis.detection.streams.stream_times import (
     FROZEN_STAMPS,
@@ -25,7 +25,7 @@ from analysis.detection.streams.stream_times import (
     Clock,
     SampleStream,
 )
-from analysis.results import SensorDecision, pattern_alarm
+from analysis.results import pattern_alarm
 from analysis.samples.block import FIX, IMU, IMU_ID, NEVER_US, Block
 
 SILENT = "silent for {:.2f} s"
@@ -239,16 +239,11 @@ class StreamDetector(BlockDetector, frozen=True):
     """Tests every stream that has been received; without a `link` a pause of all is no anomaly."""
 
     channels: ClassVar = frozenset(STREAMS)
+    state: ClassVar = StreamStates
 
     link: bool = True
 
-    def new_state(self) -> StreamStates:
-        """No sample has come yet."""
-        return StreamStates()
-
-    def step(
-        self, block: Block, state: StreamStates
-    ) -> tuple[list[tuple[int, SensorDecision]], StreamStates]:
+    def step(self, block: Block, state: StreamStates) -> tuple[RowResults, StreamStates]:
         """The anomalies of the next samples by row, and the state, which is changed in place."""
         rows = np.flatnonzero(SHOWS_TIME[block.kind] & (block.t_us > 0))
         columns = rows.tolist(), block.kind[rows].tolist(), block.t_us[rows].tolist()

@@ -278,7 +278,7 @@ def start_filters(name: str, columns: Array) -> Array:
     filters[:, : len(x)] = x
     # GPS counts as timed out: gravity is used until the first velocity.
     if isinstance(estimator, Ekf):
-        filters[:, HEARD], filters[:, LEVELLED] = -estimator.gps_timeout_s, 0.0
+        filters[:, HEARD], filters[:, LEVELLED] = -estimator.tuning.gps_timeout_s, 0.0
     q = columns[rows.STATE + 6 : rows.STATE + 10]
     filters[:, :4] = q.T
     if COMPILED_ESTIMATORS[name] == EKF:

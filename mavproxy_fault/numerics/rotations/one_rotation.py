@@ -11,8 +11,8 @@ Matrix = tuple[tuple[float, float, float], ...]
 
 
 def euler_angles(q_nb: Sequence[float]) -> tuple[float, float, float]:
-    """Return roll, pitch, yaw [rad] of one quaternion."""
-    w, x, y, z = q_nb
+    """Return roll, pitch, yaw [rad] of one quaternion; also compiled."""
+    w, x, y, z = q_nb[0], q_nb[1], q_nb[2], q_nb[3]
     return (
         math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
         # Rounding may make the sine exceed one when the nose is vertical.

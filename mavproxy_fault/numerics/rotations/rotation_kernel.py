@@ -3,17 +3,22 @@
 Quaternions are (w, x, y, z), body to NED. A test compares the two implementations.
 """
 
-from math import asin, atan2, cos, pi, sin, sqrt
+from collections.abc import Callable
+from math import atan2, cos, pi, sin, sqrt
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 
 Vector = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
 Axis = tuple[float, float, float]
 Errors = tuple[float, float, float, float]
+
+euler_of_quaternion = cast(Callable[[Vector | Quaternion], Axis], compiled(euler_angles))
 
 
 @compiled
@@ -107,18 +112,6 @@ def to_ned(
 ) -> tuple[float, float, float]:
     """Rotate a body vector to NED."""
     return to_body(e0, -e1, -e2, -e3, x, y, z)
-
-
-@compiled
-def euler_of_quaternion(q: Vector | Quaternion) -> tuple[float, float, float]:
-    """Return roll, pitch, yaw [rad] of q (4,)."""
-    w, x, y, z = q[0], q[1], q[2], q[3]
-    sine = max(-1.0, min(1.0, 2.0 * (w * y - z * x)))
-    return (
-        atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-        asin(sine),
-        atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
-    )
 
 
 @compiled

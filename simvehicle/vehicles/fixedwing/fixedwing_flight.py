@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.vehicles.battery_kernel import BatterySupply, battery_output
@@ -32,7 +32,6 @@ from simvehicle.vehicles.vehicle import (
     WIND,
 )
 
-Array = NDArray[np.float64]
 _CONTACT_CHECK_M = 5.0  # chosen: no part of the vehicle reaches the ground above this height
 _BRAKE_FRICTION = 0.4  # friction coefficient along the body while the throttle is closed; chosen
 # Index of the drawn charge, and length of a state

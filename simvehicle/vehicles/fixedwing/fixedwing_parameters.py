@@ -4,24 +4,18 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from simvehicle.vehicles.contact_kernel import Gear, make_gear
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
 from simvehicle.vehicles.parameter_file import (
-    BatteryParameters,
-    InertiaMoments,
-    body_inertia,
+    ParameterSection,
+    VehicleParameters,
     read_parameters,
 )
 
 
-class _Struct(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of the sections."""
-
-
-class Wing(_Struct, frozen=True):
+class Wing(ParameterSection, frozen=True):
     """Reference area, span, chord and Oswald efficiency."""
 
     area_m2: float
@@ -30,7 +24,7 @@ class Wing(_Struct, frozen=True):
     oswald: float
 
 
-class Longitudinal(_Struct, frozen=True):
+class Longitudinal(ParameterSection, frozen=True):
     """Lift or pitching-moment coefficients."""
 
     zero: float
@@ -39,7 +33,7 @@ class Longitudinal(_Struct, frozen=True):
     elevator: float
 
 
-class Drag(_Struct, frozen=True):
+class Drag(ParameterSection, frozen=True):
     """Drag coefficients except induced drag."""
 
     parasitic: float
@@ -47,14 +41,14 @@ class Drag(_Struct, frozen=True):
     elevator: float
 
 
-class Stall(_Struct, frozen=True):
+class Stall(ParameterSection, frozen=True):
     """Blending from linear lift to that of a flat plate."""
 
     sharpness: float
     alpha_rad: float
 
 
-class Lateral(_Struct, frozen=True):
+class Lateral(ParameterSection, frozen=True):
     """Side-force, rolling- or yawing-moment coefficients."""
 
     zero: float
@@ -65,7 +59,7 @@ class Lateral(_Struct, frozen=True):
     rudder: float
 
 
-class ThrustLaw(_Struct, frozen=True):
+class ThrustLaw(ParameterSection, frozen=True):
     """T = rho S/2 ((k_motor throttle)^2 - Va^2)."""
 
     disc_m2: float
@@ -73,7 +67,7 @@ class ThrustLaw(_Struct, frozen=True):
     k_torque: float
 
 
-class Polynomial(_Struct, frozen=True):
+class Polynomial(ParameterSection, frozen=True):
     """Propeller coefficient as a polynomial in the advance ratio J."""
 
     zero: float
@@ -81,7 +75,7 @@ class Polynomial(_Struct, frozen=True):
     j2: float
 
 
-class FixedWingMotor(_Struct, frozen=True):
+class FixedWingMotor(ParameterSection, frozen=True):
     """Direct-current motor and propeller."""
 
     diameter_m: float
@@ -93,7 +87,7 @@ class FixedWingMotor(_Struct, frozen=True):
     thrust: Polynomial
 
 
-class Throw(_Struct, frozen=True):
+class Throw(ParameterSection, frozen=True):
     """Maximum deflections."""
 
     elevator: float
@@ -101,13 +95,9 @@ class Throw(_Struct, frozen=True):
     rudder: float
 
 
-class FixedWingParameters(_Struct, frozen=True):
+class FixedWingParameters(VehicleParameters, frozen=True):
     """The complete file; it has either `thrust_law` or `motor`."""
 
-    name: str
-    source: str
-    mass_kg: float
-    inertia_kgm2: InertiaMoments
     wing: Wing
     lift: Longitudinal
     drag: Drag
@@ -117,9 +107,6 @@ class FixedWingParameters(_Struct, frozen=True):
     roll: Lateral
     yaw: Lateral
     throw_deg: Throw
-    gear_m: list[tuple[float, float, float]]
-    battery: BatteryParameters
-    cruise_mps: float
     thrust_law: ThrustLaw | None = None
     motor: FixedWingMotor | None = None
 
@@ -127,7 +114,7 @@ class FixedWingParameters(_Struct, frozen=True):
         # Two models at once would add their thrusts.
         if (self.thrust_law is None) == (self.motor is None):
             raise ValueError("exactly one of thrust_law and motor is needed")
-        body_inertia(self, {})  # refuses impossible moments of inertia
+        super().__post_init__()
 
 
 def read_fixedwing(name: str | Path) -> FixedWingParameters:

@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, WingInputs, state_derivative
 from simvehicle.vehicles.rigidbody_kernel import E0, Inertia, P, State13, U, V, W
 
-Array = NDArray[np.float64]
 ROLL, PITCH, RATES = 6, 7, 9  # index, or start, in the 12 states
 LATERAL = [V, ROLL, RATES, RATES + 2]
 

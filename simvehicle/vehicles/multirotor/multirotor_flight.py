@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
@@ -37,8 +37,6 @@ from simvehicle.vehicles.vehicle import (
     VOLTS,
     WIND,
 )
-
-Array = NDArray[np.float64]
 
 
 class Airframe(NamedTuple):

@@ -59,11 +59,8 @@ def quad_parameters(vehicle: Multirotor) -> QuadParameters:
         raise ValueError(
             f"{vehicle.controls_count} rotors cannot weave; use a vehicle with {MOTOR_COUNT}"
         )
-    motor, rotors = vehicle.parameters.motor, vehicle.rotors
-    inertia = vehicle.parameters.inertia_kgm2
-    reaction = rotors[:, 2] * motor.torque_per_thrust_m
-    effect = np.array([np.ones(MOTOR_COUNT), -rotors[:, 1], rotors[:, 0], reaction])
-    shares = np.linalg.inv(effect)
+    motor, inertia = vehicle.parameters.motor, vehicle.parameters.inertia_kgm2
+    shares = np.linalg.inv(vehicle.thrust_effects)
     first, second, third, fourth = (
         (float(row[0]), float(row[1]), float(row[2]), float(row[3])) for row in shares
     )

@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from analysis.run.run_setup import read_setup
-from analysis.run.unmatched_faults import report_unmatched_faults
+from analysis.run.vehicle_judging import report_unmatched_faults
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from simvehicle.scenario.changed_scenario import parse_change

@@ -10,8 +10,8 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.compile import compiled
 from simvehicle.environment.air import GUST_LEVELS, pressure_altitude, standard_air, step_wind
 from simvehicle.environment.geolocation import HomeFrame, locate_state
-from simvehicle.environment.geomagnetism import field_ned_gauss
 from simvehicle.environment.terrain import read_terrain_grid
+from simvehicle.simulation.onboard_sensors import field_ned_gauss
 
 LEVEL = np.array([0.0] * 6 + [1.0, 0.0, 0.0, 0.0])  # only its attitude has an effect
 

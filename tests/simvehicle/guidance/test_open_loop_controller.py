@@ -131,11 +131,11 @@ def test_swaying_is_refused_for_six_rotors() -> None:
             OpenLoopControls(throttle=0.5, weave=WEAVE),
             "controls of a multirotor have weave",
         ),
-        ("multirotor", OpenLoopControls(weave=WEAVE), "airspeed_mps for a fixed wing"),
+        ("multirotor", OpenLoopControls(weave=WEAVE), "airspeed_mps is for a fixed wing"),
         (
             "fixedwing",
             OpenLoopControls(weave=WeaveChoice(roll_deg=5.0, period_s=5.0, pitch_deg=0.0)),
-            "airspeed_mps for a fixed wing and no other",
+            "airspeed_mps is for a fixed wing only",
         ),
     ],
 )

@@ -22,7 +22,7 @@ def frame(name: str, value: float | None) -> Frame:
 
 
 def test_a_plant_fault_acts_until_it_is_removed(simulation: Simulation) -> None:
-    changes = PlantChanges(simulation, print)
+    changes = PlantChanges(simulation.plant, print)
     changes.carry_out(frame("wind_n_mps", 5.0))
     assert simulation.step()[1].wind_ned_mps[0] == 5.0
     changes.carry_out(frame("wind_n_mps", None))
@@ -33,7 +33,7 @@ def test_an_impossible_plant_fault_is_reported_once_and_the_flight_continues(
     simulation: Simulation,
 ) -> None:
     reported: list[str] = []
-    changes = PlantChanges(simulation, reported.append)
+    changes = PlantChanges(simulation.plant, reported.append)
     for _ in range(3):
         changes.carry_out(frame("warp_drive", 9.0))
     assert len(reported) == 1
@@ -42,4 +42,4 @@ def test_an_impossible_plant_fault_is_reported_once_and_the_flight_continues(
 
 def test_other_frames_are_ignored(simulation: Simulation) -> None:
     layout = message_layout("HEARTBEAT")
-    PlantChanges(simulation, print).carry_out(Frame(build_frame(layout, {"type": 6}), layout))
+    PlantChanges(simulation.plant, print).carry_out(Frame(build_frame(layout, {"type": 6}), layout))

@@ -6,7 +6,7 @@ import pytest
 
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import ERROR_SIZE, X_SIZE
-from analysis.detection.sensors.sensor_models import SensorNoise
+from analysis.detection.sensors.sensor_models import MODELS
 from analysis.detection.sensors.sensor_tests import NavigationDetector
 from analysis.results import Decision
 from analysis.samples import block as kinds
@@ -40,7 +40,7 @@ def judged(rows: list[tuple[int, int, np.ndarray]], rolls: list[float]) -> list[
         motion = MotionEstimate(rows[k][1], x, np.zeros((ERROR_SIZE, ERROR_SIZE)), inertial=True)
         decided.append((k, decision(rows[k][1]), motion))
     states = detector.new_state().states
-    states.sensors["mag"].variance = SensorNoise().mag_quiet_gauss ** 2
+    states.sensors["mag"].variance = MODELS["mag"].least_sigma ** 2
     found, _ = detector._judged(block, decided, states)
     return [(result.sensor, result.statistic or 0.0) for _, result in found]
 
