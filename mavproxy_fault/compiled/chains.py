@@ -20,6 +20,7 @@ from mavproxy_fault.compiled.kernel import choose, i64, kernel
 from mavproxy_fault.compiled.layout import Shared
 from mavproxy_fault.compiled.rule_numbers import link_rules, value_rules
 from mavproxy_fault.fault_parts.rules import LOST
+from mavproxy_fault.proxy.senders import LINK_TIME
 from mavproxy_fault.wire.framing import range_crc
 
 SKIPPED, SIGNED = -1, -2  # places of entries that do not act on a frame, as it is signed
@@ -81,6 +82,12 @@ def read_instance(payload: int, size: int, number: int, shared: Shared) -> int:
 
 
 @kernel
+def _own_time(entry: Any, t_us: int, shared: Shared) -> int:
+    """The time of an entry's clock at a frame of the vehicle time `t_us`."""
+    return i64(shared.senders[LINK_TIME]) if entry[k.ON_LINK] else t_us
+
+
+@kernel
 def is_ready(
     payload: int, size: int, number: int, sender: int, link: int, t_us: int, signed: bool,
     shared: Shared,
@@ -99,7 +106,7 @@ def is_ready(
             if signed and not entry[k.SEALED_TOO]:
                 shared.places[place] = SIGNED
             elif entry[k.EFFECT] == k.IDLE:
-                if t_us >= entry[k.START]:
+                if _own_time(entry, t_us, shared) >= entry[k.START]:
                     return False
                 shared.places[place] = SKIPPED
             elif entry[k.REMEMBERS]:
@@ -256,10 +263,13 @@ def apply_chain(
                 u = shared.draws[entry[k.CHANCES_FROM] + entry[k.CHANCES_USED] - 1]
                 if u >= shared.changes[step[k.ENTRY], 0]:
                     continue
+            own_us = _own_time(entry, t_us, shared)
+            if entry[k.ON_LINK]:  # it acts when the earlier entries let the frame go
+                own_us += items[item, k.LATE_US]
             if entry[k.EFFECT] == k.VALUES:
-                changed |= _act_on_values(item, head, step, place, t_us, link, shared)
+                changed |= _act_on_values(item, head, step, place, own_us, link, shared)
             else:
-                become = _act_on_frame(item, count, head, step, place, t_us, link, shared)
+                become = _act_on_frame(item, count, head, step, place, own_us, link, shared)
                 if become >= 0:
                     changed, count = True, become
         first = step[k.NEXT]

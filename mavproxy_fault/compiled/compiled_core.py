@@ -96,7 +96,7 @@ class CompiledCore:
         control = self._core.control
         seen: tuple[Any, ...] = (control and control.wanted,)
         if engine is not None:
-            self.loop[k.EDGE] = engine.edge_us
+            self.loop[k.EDGE], self.loop[k.LINK_EDGE] = engine.edges_us
             seen += (engine.changes, engine.revision, engine.t0_us)
         plans = self._plans
         if seen != self._seen or (self._core_ran and plans is not None and plans.changed):
@@ -244,6 +244,7 @@ class CompiledCore:
         engine: Any = core.engine
         if engine is not None and loop[k.WANTED_AT]:
             engine.now_us = max(engine.now_us, int(loop[k.WANTED_AT]))
+            engine.link_us = max(engine.link_us, int(loop[k.WANTED_LINK_AT]))
             loop[k.WANTED_AT] = 0
         if self._plans is not None and engine is not None and not plain:
             self._core_ran |= self._plans.settle(engine)

@@ -20,6 +20,7 @@ from mavproxy_fault.wire.framing import frame_header, has_valid_checksum
 
 # The rules of the core, as machine code
 vehicle_time = kernel_of(sender_rules.vehicle_time)
+link_time = kernel_of(sender_rules.link_time)
 missing_before = kernel_of(sender_rules.missing_before)
 read_target = kernel_of(sender_rules.read_target)
 select_links = kernel_of(sender_rules.select_links)
@@ -70,14 +71,19 @@ def _is_ready_at(
         senders[cells.CLOCK_OFFSET + clock], senders[cells.NEWEST_STAMP + clock],
         senders[cells.LAST_HEARD + clock], senders[cells.CANDIDATE_STAMP + clock],
         senders[system], senders[cells.NEWEST_TIME], senders[cells.UNCONFIRMED],
+        senders[cells.LINK_TIME], senders[cells.LINK_STAMP], senders[cells.LINK_STAMP_HEARD],
+        senders[cells.LINK_CLOCK],
     )  # fmt: skip
     t_us = vehicle_time(senders, sender, stamp_us, now_us)
+    senders[cells.LINK_TIME] = link_time(senders, now_us)
     ready = senders[cells.UNCONFIRMED] == before[6]
     if shared.table[number, k.SAMPLED] and not _is_sampled(
         payload, size, number, sender, t_us, shared
     ):
         ready = False
-    if kind != k.PASS and t_us >= shared.loop[k.EDGE]:
+    if kind != k.PASS and (
+        t_us >= shared.loop[k.EDGE] or senders[cells.LINK_TIME] >= shared.loop[k.LINK_EDGE]
+    ):
         ready = False
     if ready and kind == k.PLANNED:
         ready = is_ready(payload, size, number, sender, link, t_us, signed, shared)
@@ -87,6 +93,8 @@ def _is_ready_at(
         senders[cells.CLOCK_OFFSET + clock], senders[cells.NEWEST_STAMP + clock],
         senders[cells.LAST_HEARD + clock], senders[cells.CANDIDATE_STAMP + clock],
         senders[system], senders[cells.NEWEST_TIME], senders[cells.UNCONFIRMED],
+        senders[cells.LINK_TIME], senders[cells.LINK_STAMP], senders[cells.LINK_STAMP_HEARD],
+        senders[cells.LINK_CLOCK],
     ) = before  # fmt: skip
     return i64(cells.UNKNOWN)
 
@@ -202,11 +210,11 @@ def _pass_frame(
     ports[link, k.MISSING] += missing_before(senders, sender, seq)
     if ports[link, k.FROM_VEHICLE]:
         senders[cells.VEHICLE_SYSTEM] = sender >> 8
-    senders[cells.WALL_OFFSET] = now_us - t_us
+    senders[cells.WALL_OFFSET] = now_us - senders[cells.LINK_TIME]
     if loop[k.KEEP]:
         _record_received(link, now_us, at, stop - at, shared)
     if entry[k.KIND] != k.PASS:
-        loop[k.WANTED_AT] = t_us
+        loop[k.WANTED_AT], loop[k.WANTED_LINK_AT] = t_us, senders[cells.LINK_TIME]
     if entry[k.KIND] != k.PLANNED:
         if mask:
             _send(data, at, stop - at, rows, mask, now_us, shared)

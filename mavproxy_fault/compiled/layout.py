@@ -41,8 +41,9 @@ INTERPRETED, PASS, PASS_UNTIL_EDGE, PLANNED = range(4)  # kinds
 EFFECT, RULE, START, SYSTEM, COMPONENT, DIRECTION, INSTANCE = range(7)  # -1: any
 REMEMBERS, BY_SENDER, SEALED_TOO, QUIET = range(7, 11)  # QUIET: directions in its label, a mask
 DRAW_COUNT, DRAWS_FROM, USED, CHANCES_FROM, CHANCES_USED = range(11, 16)  # -1: draws nothing
-FRAMES_HIT, SATURATED, SEALED, FIRST_US, WAYS = range(16, 21)  # counts; WAYS: bit mask
-ENTRY_SIZE = 21
+ON_LINK = 16  # whether it counts in link time
+FRAMES_HIT, SATURATED, SEALED, FIRST_US, WAYS = range(17, 22)  # counts; WAYS: bit mask
+ENTRY_SIZE = 22
 VALUES, DELAY, COPIES, RENUMBER, IDLE = range(5)  # effects; IDLE: none before START
 # Columns of `steps`, the chains of entries on a message
 ENTRY, FROM, TO, NEXT, END, NEED, NUMBERS_FROM = range(7)  # END: bytes that the elements need
@@ -77,7 +78,8 @@ HELD_AT, KEY_COUNT = 32, 33  # bytes of delayed frames, and rows of `keys`
 LENT, FOUND = 34, 35  # bytes of a chunk lent in the last row; what became of a datagram
 OUT_END, OTHERS = 36, 37  # of the output's room; links outside the compiled form that it is for
 MASK = 38  # the links that a lent chunk leaves on, or one of the next
-LOOP_SIZE = 39
+LINK_EDGE, WANTED_LINK_AT = 39, 40  # as EDGE and WANTED_AT, in link time
+LOOP_SIZE = 41
 UNTOUCHED, BEGUN = -1, -2
 # Why it returns
 TIME_IS_UP, HANDED_OVER, OTHER_READY, DUE_SENT, LENT_PASSED, TO_SETTLE = range(6)

@@ -192,6 +192,7 @@ class Plans:
             return None
         plan[k.START], plan[k.BY_SENDER] = running.start_us, getattr(fault, "by_sender", False)
         plan[k.SEALED_TOO], plan[k.QUIET] = running.takes_sealed, 3 * stage(running).begun
+        plan[k.ON_LINK] = running.on_link
         direction = None if where.direction is None else WAYS.index(where.direction)
         plan[k.SYSTEM : k.INSTANCE + 1] = [
             -1 if one is None else one

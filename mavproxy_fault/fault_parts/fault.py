@@ -46,7 +46,8 @@ class Fault(Protocol):
     A fault of a schedule also has a `name`, by which the registry finds it, and an `example`: the
     keys beside `fault: NAME` in the entry that `faults show` prints and the tests run. It may have
     `aliases` (further names) and `on_ranges`, true if its error does not depend on the healthy
-    value, so that it accepts PSEUDORANGE targets too. A fault with a method `done(state)` ends
+    value, so that it accepts PSEUDORANGE targets too. `clock` is "link" if its times count in link
+    time by default. A fault with a method `done(state)` ends
     as soon as that returns true, before its `for_s`.
     """
 
@@ -72,6 +73,7 @@ class LinkFault(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     acts_on: ClassVar[ActsOn] = "frames"
+    clock: ClassVar[Literal["vehicle", "link"]] = "link"
     takes_bytes: ClassVar[bool] = True
     takes_sealed: ClassVar[bool] = True
 

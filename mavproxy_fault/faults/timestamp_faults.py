@@ -4,7 +4,7 @@ They change every field with the sender's time, in any unit: `time_usec`, `usec`
 `timestamp`, `time_boot_ms`.
 """
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 from mavproxy_fault.fault_parts.draft import Draft
 from mavproxy_fault.fault_parts.elements import locate_element
@@ -29,6 +29,7 @@ def shift_stamp(
 class TimestampFault(LinkFault, frozen=True, kw_only=True):
     """Base of the timestamp faults, whose rule acts on every timestamp of a frame."""
 
+    clock: ClassVar[Literal["vehicle", "link"]] = "vehicle"  # which is what it changes
     takes_bytes: ClassVar[bool] = False
     takes_sealed: ClassVar[bool] = False
     rule = staticmethod(shift_stamp)

@@ -51,6 +51,7 @@ class EditLog:
         Frames due by `now_us` must have been sent already, as in the replay.
         """
         self._now_us = now_us
+        self._core.advance_link(now_us)
         clock = self._core.clock
         return now_us if clock.t0_us is None else clock.t_us
 
@@ -93,6 +94,7 @@ def apply_edit(edit: Edit, core: Core, control: LiveControl) -> None:
     if edit.what == JOIN:
         join_live_control(core, control)
         return
+    core.advance_link(edit.now_us)
     control.replayed_us = edit.now_us
     # The replay refuses what the running proxy refused.
     with contextlib.suppress(ConfigError):

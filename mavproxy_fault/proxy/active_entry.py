@@ -49,8 +49,9 @@ class LazyGenerator:
 class ActiveEntry:
     """A schedule entry with its fault's state and its counts.
 
-    `base_us` is the timestamp from which `at_s` counts. An `injected` entry (live edit) is not in
-    the schedule and is removed some time after it ended.
+    All its times are of its own clock: link time if `on_link`, else vehicle time. `base_us` is that
+    from which `at_s` counts. An `injected` entry (live edit) is not in the schedule and is removed
+    some time after it ended.
     """
 
     def __init__(
@@ -93,6 +94,7 @@ class ActiveEntry:
         where = entry.where
         # A tuple, as it is read for each frame.
         self._where = (where.system, where.component, where.direction, where.id)
+        self.on_link = entry.clock == "link"
         self.matches_all = self._where == (None, None, None, None)
         self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
         self.takes_unknown = entry.ids is None and getattr(
@@ -354,6 +356,7 @@ class ActiveEntry:
             seed=self.seed,
             value=self.value,
             changed_us=self.changed_us,
+            clock="link" if self.on_link else "",
         )
 
     def pending_label(self, t_us: int) -> Label | None:

@@ -29,11 +29,13 @@ from mavproxy_fault.proxy.numbering import Numbering
 from mavproxy_fault.proxy.outgoing_batch import OutgoingBatch, join_datagrams, source_of
 from mavproxy_fault.proxy.resync_deadline import ResyncDeadline
 from mavproxy_fault.proxy.routing import LoopGuard, Routes
-from mavproxy_fault.proxy.sender_rules import missing_before
+from mavproxy_fault.proxy.sender_rules import link_time, missing_before
 from mavproxy_fault.proxy.senders import (
     GAPS,
+    LINK_TIME,
     LINKS,
     SENDERS,
+    SIMULATED,
     T0,
     UNCONFIRMED,
     UNKNOWN,
@@ -215,6 +217,7 @@ class Core:
         sends = self.due(now_us)
         if self.engine is not None:
             batch: OutgoingBatch = []
+            self.advance_link(now_us)
             labels = [*self.engine.drain_labels(), *self.engine.finish(self.clock.t_us)]
             self._announce(labels, now_us, batch)
             sends += self._sends(batch, now_us) + self.due(now_us)
@@ -270,6 +273,8 @@ class Core:
             state.bad_signatures += sealed
         control = self.control
         if control is not None and frame.id in control.wanted:
+            if self.engine is not None:
+                self.engine.link_us = self.senders[LINK_TIME]
             replies = control.consume(frame, arrival.direction, t_us, sealed=sealed)
             if replies is not None:
                 for reply in replies:
@@ -283,12 +288,13 @@ class Core:
         if engine is None or (engine.wanted is not None and frame.id not in engine.wanted):
             self._send_now(mask, frame.raw, arrival.now_us, batch)
             return
-        outgoing = engine.apply(frame, arrival.direction, t_us, sealed=sealed)
-        if len(outgoing) != 1 or outgoing[0].frame is not frame or outgoing[0].due_us > t_us:
+        link_us = self.senders[LINK_TIME]
+        outgoing = engine.apply(frame, arrival.direction, t_us, link_us, sealed=sealed)
+        if len(outgoing) != 1 or outgoing[0].frame is not frame or outgoing[0].due_us > link_us:
             state.faulted += 1
         for out in outgoing:
             links = 1 << arrival.link if out.back else mask
-            self._emit(out, frame, links, arrival.now_us - t_us, arrival.now_us, batch)
+            self._emit(out, frame, links, arrival.now_us, batch)
         self._announce(engine.drain_labels(), arrival.now_us, batch)
 
     def _junk(self, junk: Junk, arrival: Arrival, batch: OutgoingBatch) -> None:
@@ -312,9 +318,10 @@ class Core:
             self._send_now(mask, raw, now_us, batch)
             return
         t_us = self.clock.t_us if self.clock.t0_us is not None else now_us
+        link_us = self._note_link_time(now_us)
         whole = raw if frame is None else frame
-        for out in self.engine.junk(whole, arrival.direction, t_us, sealed=sealed):
-            self._emit(out, frame, mask, now_us - t_us, now_us, batch)
+        for out in self.engine.junk(whole, arrival.direction, t_us, link_us, sealed=sealed):
+            self._emit(out, frame, mask, now_us, batch)
         self._announce(self.engine.drain_labels(), now_us, batch)
 
     def _admit(self, frame: Frame, arrival: Arrival) -> bool:
@@ -348,8 +355,19 @@ class Core:
                 senders[WALL_OFFSET] = now_us - t_us
                 self.engine.restart(t_us)
                 self._announce(self.engine.drain_labels(), now_us, batch)
-        senders[WALL_OFFSET] = now_us - t_us
+        self._note_link_time(now_us)
         return t_us
+
+    def _note_link_time(self, now_us: int) -> int:
+        link_us = self.senders[LINK_TIME] = link_time(self.senders, now_us)
+        self.senders[WALL_OFFSET] = now_us - link_us
+        return link_us
+
+    def advance_link(self, now_us: int) -> None:
+        """Advance the engine's link time for a live edit, even without a frame."""
+        if self.engine is not None and self.engine.t0_us is not None:
+            link_us = link_time(self.senders, now_us)
+            self.engine.link_us = max(self.engine.link_us, link_us)
 
     # -- outputs ---------------------------------------------------------------------------------
 
@@ -358,7 +376,6 @@ class Core:
         outgoing: "Outgoing",
         origin: Frame | None,
         mask: int,
-        lead_us: int,
         now_us: int,
         batch: OutgoingBatch,
     ) -> None:
@@ -372,7 +389,7 @@ class Core:
             raw = self.signing.sign_outgoing(frame).raw
         if outgoing.back and isinstance(frame, Frame):  # the proxy's own message to a simulator
             raw = self._numbering.number_frame(frame)
-        due_us = outgoing.due_us + lead_us
+        due_us = outgoing.due_us + self.senders[WALL_OFFSET]
         if due_us <= now_us:
             self._send_now(mask, raw, now_us, batch)
         else:
@@ -391,6 +408,10 @@ class Core:
 
     def _announce(self, labels: "list[Label]", now_us: int, batch: OutgoingBatch) -> None:
         for label in labels:
+            if label.clock and self.senders[SIMULATED]:  # a lockstep link's time is the vehicle's
+                import msgspec  # a proxy without faults starts without it
+
+                label = msgspec.structs.replace(label, clock="")
             self._labels.append(label)
             self._send_now(
                 self._listeners,
@@ -444,7 +465,7 @@ class Core:
             mask = self._links_of_pending(outgoing.frame)
             if outgoing.back:  # to all links, as the earlier ones may have gone anywhere
                 mask = self._routes.all_links
-            self._emit(outgoing, None, mask, self.senders[WALL_OFFSET], when_us, batch)
+            self._emit(outgoing, None, mask, when_us, batch)
         self._announce(self.engine.drain_labels(), when_us, batch)
         return self._sends(batch, when_us)
 

@@ -1,8 +1,9 @@
 """The engine: runs a schedule on the passing frames, without sockets, clock or files.
 
-All times are microseconds of vehicle time. Entries act in schedule order, each on the output of the
-one before. Only messages in `wanted` need to pass through the engine; inactive entries cost
-nothing.
+All times are microseconds, of vehicle or of link time, which have the same origin: an entry counts
+in its own clock, and what leaves is due in link time. Entries act in schedule order, each on the
+output of the one before; one that counts in link time acts when that output is due. Only messages
+in `wanted` need to pass through the engine; inactive entries cost nothing.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -42,7 +43,7 @@ class Engine:
         self.revision = 0
         self.changes = 0  # counts changes of the active entries
         self.t0_us: int | None = None
-        self.now_us = 0
+        self.now_us = self.link_us = 0
         self.wanted: frozenset[int] | None = frozenset()
         self._schedule = schedule
         self._all: list[ActiveEntry] = []
@@ -52,7 +53,7 @@ class Engine:
         self._watched: dict[int, tuple[ActiveEntry, ...]] = {}
         self._dependents: dict[str, list[tuple[int, ActiveEntry]]] = {}
         self._telemetry = Telemetry()
-        self._edge_us = 0
+        self._edges_us = [0, 0]  # next change of an entry, by vehicle time and by link time
         self._labels: list[Label] = []
         self._noted: dict[str, Label] = {}  # open labels of what the vehicle itself does
         self._released: list[Outgoing] = []  # released by a fault that ended
@@ -79,12 +80,24 @@ class Engine:
     def restart(self, t0_us: int) -> None:
         """End active faults and start the schedule at this time."""
         for running in [r for r in self._all if r.active]:
-            self._end(running, self.now_us)
+            self._end(running, self._now(running))
         entries = list(self._entries())
-        self.t0_us = self.now_us = t0_us
+        self.t0_us = self.now_us = self.link_us = t0_us
         self._all = [self._run(entry, t0_us) for entry in entries]
         self._update_wanted()
-        self._advance(t0_us)
+        self._advance()
+
+    def _now(self, one: ActiveEntry | Entry) -> int:
+        """Return the present time of an entry's clock."""
+        entry = one if isinstance(one, Entry) else one.entry
+        return self.link_us if entry.clock == "link" else self.now_us
+
+    def _follow(self, t_us: int, link_us: int | None) -> int:
+        """Set the times, and start and end what is due; return the link time."""
+        self.now_us, self.link_us = t_us, t_us if link_us is None else link_us
+        if t_us >= self._edges_us[0] or self.link_us >= self._edges_us[1]:
+            self._advance()
+        return self.link_us
 
     def _run(self, entry: Entry, base_us: int) -> ActiveEntry:
         assert self.t0_us is not None
@@ -94,37 +107,36 @@ class Engine:
         """Advance the time for live edits, even without a frame."""
         if self.t0_us is not None:
             self.now_us = max(self.now_us, t_us)
+            self.link_us = max(self.link_us, t_us)
 
     @property
     def release_us(self) -> int | None:
-        """Vehicle time at which buffered frames must leave; None without any.
+        """Link time at which buffered frames must leave; None without any.
 
         Now if an edit has ended a fault: its label must not wait for the next frame.
         """
         if self._released or self._labels:
-            return self.now_us
+            return self.link_us
         if not self._buffering:  # fast path: called for each frame
             return None
         due_us = min(running.release_us() for running in self._buffering)
         return due_us if due_us < NEVER_US else None
 
     def due(self, t_us: int) -> list[Outgoing]:
-        """Release buffered frames that are due by `t_us`."""
+        """Release buffered frames that are due by the link time `t_us`."""
         if self.t0_us is None:
             return []
-        self.now_us = max(self.now_us, t_us)
-        if t_us >= self._edge_us:
-            self._advance(t_us)
+        self._follow(max(self.now_us, t_us), max(self.link_us, t_us))
         sends, self._released = self._released, []
         for running in self._buffering:
             if running.release_us() <= t_us:
                 sends += running.release(t_us, overdue=True)
         return sends
 
-    def _advance(self, t_us: int) -> None:
+    def _advance(self) -> None:
         """Start and end entries that are due, including those that depend on them."""
         self._dependents = self._find_dependents()
-        due = [(r.next_us, place) for place, r in enumerate(self._all) if r.next_us <= t_us]
+        due = [(r.next_us, place) for place, r in enumerate(self._all) if r.next_us <= self._now(r)]
         # A heap: after a late start thousands of events may be due, and a linear search for each
         # would stall the forwarding.
         heapify(due)
@@ -139,7 +151,7 @@ class Engine:
                 late.begin()
                 self._start_dependents(late, "start", at_us)
             for further, running in [(place, late), *self._dependents.get(late.entry.id, ())]:
-                if running.next_us <= t_us:
+                if running.next_us <= self._now(running):
                     heappush(due, (running.next_us, further))
         self._index()
 
@@ -149,7 +161,7 @@ class Engine:
         label = running.close(t_us)
         if label is not None:
             self._labels.append(label)
-        running.end_activation(self.now_us)
+        running.end_activation(self._now(running))
         self._start_dependents(running, "end", t_us)
 
     def _start_dependents(self, leader: ActiveEntry, event: str, t_us: int) -> None:
@@ -181,7 +193,11 @@ class Engine:
             number: tuple(r for r in active if r.entry.ids is None or number in r.entry.ids)
             for number in ids
         }
-        self._edge_us = min((running.next_us for running in self._all), default=NEVER_US)
+        for clock, on_link in enumerate((False, True)):
+            self._edges_us[clock] = min(
+                (running.next_us for running in self._all if running.on_link == on_link),
+                default=NEVER_US,
+            )
 
     def _update_wanted(self) -> None:
         """Update `wanted` and the conditions' messages after an edit."""
@@ -201,9 +217,9 @@ class Engine:
         self._index()
 
     @property
-    def edge_us(self) -> int:
-        """Time of the next scheduled start or end."""
-        return self._edge_us
+    def edges_us(self) -> tuple[int, int]:
+        """Next scheduled start or end, by vehicle time and by link time."""
+        return self._edges_us[0], self._edges_us[1]
 
     def active_entries(self, number: int) -> tuple[ActiveEntry, ...] | None:
         """Return the entries active on a message; None if a condition reads it."""
@@ -212,19 +228,25 @@ class Engine:
     # -- bytes -----------------------------------------------------------------------------------
 
     def apply(
-        self, frame: Frame, direction: str, t_us: int, *, sealed: bool = False
+        self,
+        frame: Frame,
+        direction: str,
+        t_us: int,
+        link_us: int | None = None,
+        *,
+        sealed: bool = False,
     ) -> list[Outgoing]:
-        """Process a frame; an unchanged one is returned as the same object, due at `t_us`.
+        """Process a frame; an unchanged one is returned as the same object, due at `link_us`.
 
-        With `sealed` (signed with an unknown key) value faults skip the frame and count it.
+        That is vehicle time if it is None. With `sealed` (signed with an unknown key) value faults
+        skip the frame and count it.
         """
         if self.t0_us is None:
             self.start_at(t_us)
-        self.now_us = t_us
         if frame.id in self._watched:
-            self._watch(frame, t_us)
-        if t_us >= self._edge_us:
-            self._advance(t_us)
+            self.now_us, self.link_us = t_us, t_us if link_us is None else link_us
+            self._watch(frame)
+        link_us = self._follow(t_us, link_us)
         draft: Draft | None = None
         sends: list[Outgoing] | None = None
         for running in self._by_id.get(frame.id, self._any):
@@ -238,53 +260,56 @@ class Engine:
             elif isinstance(running, ActiveValueEntry):
                 if draft is None:
                     draft = Draft(frame)
-                running.edit(draft, direction, t_us)
+                running.edit(draft, direction, link_us if running.on_link else t_us)
             else:
-                sends = running.act(draft.sealed() if draft else frame, direction, t_us)
+                sends = [Outgoing(link_us, draft.sealed() if draft else frame)]
+                sends = _apply_to_outgoing(running, sends, direction, t_us)
             if running.needs_attention:
-                self.attend(running, t_us)
+                self.attend(running, self._now(running))
         if sends is None:
-            sends = [Outgoing(t_us, draft.sealed() if draft else frame)]
+            sends = [Outgoing(link_us, draft.sealed() if draft else frame)]
         if self._released:
             sends, self._released = self._released + sends, []
         return sends
 
     def attend(self, running: ActiveEntry, t_us: int) -> None:
-        """Add a pending label of a fault, and note an early end."""
-        if running.end_us <= t_us:
-            self._edge_us = t_us  # at the next frame
+        """Add a pending label of a fault, at a time of its clock, and note an early end."""
+        clock = running.on_link
+        self._edges_us[clock] = min(self._edges_us[clock], running.end_us)
         news = running.pending_label(t_us)
         if news is not None:
             self._labels.append(news)
 
-    def _watch(self, frame: Frame, t_us: int) -> None:
+    def _watch(self, frame: Frame) -> None:
         """Check the conditions against a frame as received, before any fault acts on it."""
         self._telemetry.note(frame)
-        begun = [
-            running.check_condition(t_us, self._telemetry) for running in self._watched[frame.id]
-        ]
-        if any(begun):
-            self._edge_us = t_us
+        for running in self._watched[frame.id]:
+            t_us = self._now(running)
+            if running.check_condition(t_us, self._telemetry):
+                self._edges_us[running.on_link] = t_us
 
     def junk(
-        self, data: bytes | Frame, direction: str, t_us: int, *, sealed: bool = False
+        self,
+        data: bytes | Frame,
+        direction: str,
+        t_us: int,
+        link_us: int | None = None,
+        *,
+        sealed: bool = False,
     ) -> list[Outgoing]:
         """Process bytes that are not a frame, or a frame of an unknown message.
 
         Faults on an entire link act on both, and faults on a sender on the frame. With `sealed`
         it is signed with an unknown key.
         """
-        sends = [Outgoing(t_us, data)]
         if self.t0_us is None:
-            return sends
-        self.now_us = t_us  # so that missed repetitions are skipped in one step
-        if t_us >= self._edge_us:
-            self._advance(t_us)
+            return [Outgoing(t_us if link_us is None else link_us, data)]
+        sends = [Outgoing(self._follow(t_us, link_us), data)]
         for running in self._any:
             if running.matches_junk(data, direction, sealed=sealed):
                 sends = _apply_to_outgoing(running, sends, direction, t_us)
                 if running.needs_attention:
-                    self.attend(running, t_us)
+                    self.attend(running, self._now(running))
         return sends
 
     def drain_labels(self) -> list[Label]:
@@ -310,9 +335,10 @@ class Engine:
         for id in list(self._noted):
             self.end_noted(id, t_us)
         if self.t0_us is not None:
-            self._advance(t_us)
+            self.now_us, self.link_us = t_us, max(self.link_us, t_us)
+            self._advance()
         for running in [r for r in self._all if r.active]:
-            self._end(running, t_us)
+            self._end(running, self._now(running))
             running.start_us = running.end_us = NEVER_US
         self._index()
         return self.drain_labels()
@@ -343,9 +369,9 @@ class Engine:
         else:
             for one in entries:
                 self._stop(one.id)
-                running = activate_entry(one, self.seed, self.now_us, self.t0_us, injected=True)
+                running = activate_entry(one, self.seed, self._now(one), self.t0_us, injected=True)
                 self._all.append(running)
-            self._advance(self.now_us)
+            self._advance()
             self._drop_ended()
         self._update_wanted()
         return [one.id for one in entries]
@@ -370,7 +396,7 @@ class Engine:
         ids = {one.id for one in self._entries() if _is_fault_or_part(one.id, id)}
         for running in self._all:
             if running.active and running.entry.id in ids:
-                self._end(running, self.now_us)
+                self._end(running, self._now(running))
         self._all = [running for running in self._all if running.entry.id not in ids]
         kept = tuple(one for one in self._schedule.faults if one.id not in ids)
         self._schedule = msgspec.structs.replace(self._schedule, faults=kept)
@@ -380,7 +406,7 @@ class Engine:
     def _stop(self, id: str) -> None:
         for running in [r for r in self._all if r.entry.id == id]:
             if running.active:
-                self._end(running, self.now_us)
+                self._end(running, self._now(running))
             self._all.remove(running)
 
     def update(self, id: str, value: float, latency_us: int | None = None) -> None:
@@ -396,7 +422,7 @@ class Engine:
         chosen = [running for running in self._all if running.entry.id == id]
         if not chosen:
             raise ConfigError(f"update: {id} is not a fault; {suggest_known(id, self.ids())}")
-        chosen[0].set_value(value, self.now_us, latency_us)
+        chosen[0].set_value(value, self._now(chosen[0]), latency_us)
         self._update_wanted()
 
     def prepare_entries(self, schedule: Schedule) -> dict[str, ActiveEntry]:
@@ -408,10 +434,10 @@ class Engine:
         followed = {entry.after.id for entry in schedule.faults if entry.after is not None}
         for running in prepared.values():
             # Mark entries that are over as done, to save the forwarding loop the work.
-            over = running.end_us <= self.now_us and running.entry.repeat is None
+            over = running.end_us <= self._now(running) and running.entry.repeat is None
             if over and running.entry.id not in followed:
                 running.begin()
-                running.end_activation(self.now_us)
+                running.end_activation(self._now(running))
             running.state()  # cached, as a page reads it next
         return prepared
 
@@ -440,19 +466,20 @@ class Engine:
                 ) == _comparable_entry(entry):
                     going[entry.id] = running
                 elif running.active:
-                    self._end(running, self.now_us)
-            base_us = self.now_us if anew else self.t0_us
+                    self._end(running, self._now(running))
             # Unusable if the schedule has restarted since, or its times count from now.
             fresh = {
                 id: running
                 for id, running in (prepared or {}).items()
-                if running.base_us == base_us and running.t0_us == self.t0_us
+                if running.t0_us == self.t0_us and not anew
             }
             self._all = [
-                going.get(entry.id) or fresh.get(entry.id) or self._run(entry, base_us)
+                going.get(entry.id)
+                or fresh.get(entry.id)
+                or self._run(entry, self._now(entry) if anew else self.t0_us)
                 for entry in schedule.faults
             ]
-            self._advance(self.now_us)
+            self._advance()
         self._update_wanted()
         return before
 
@@ -518,20 +545,21 @@ def _is_fault_or_part(id: str, chosen: str) -> bool:
 def _apply_to_outgoing(
     running: ActiveEntry, sends: list[Outgoing], direction: str, t_us: int
 ) -> list[Outgoing]:
-    """Apply a further entry to the output of the earlier ones; delays add up."""
+    """Apply an entry to the output of the earlier ones; delays add up."""
     outgoing: list[Outgoing] = []
     for out in sends:
         frame = out.frame
         if out.back or (isinstance(frame, bytes) and not running.takes_bytes):
             outgoing.append(out)
             continue
-        for further in running.act(frame, direction, t_us):
-            if further.frame is frame and further.due_us == t_us:
+        own_us = out.due_us if running.on_link else t_us
+        for further in running.act(frame, direction, own_us):
+            if further.frame is frame and further.due_us == own_us:
                 outgoing.append(out)
                 continue
-            # Copied only if an earlier entry delayed it.
-            if out.due_us != t_us:
-                due_us = further.due_us + out.due_us - t_us
+            # Copied only if the clocks differ, or an earlier entry delayed it.
+            if out.due_us != own_us:
+                due_us = further.due_us + out.due_us - own_us
                 further = msgspec.structs.replace(further, due_us=due_us)
             outgoing.append(further)
     return outgoing

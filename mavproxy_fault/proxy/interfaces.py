@@ -33,11 +33,15 @@ class LinkRole:
 
 
 class FaultEngine(Protocol):
-    """The fault engine: frames in, frames with due times out, in vehicle time.
+    """The fault engine: frames in, frames with due times out, in link time.
 
     `wanted` are the ids of the messages it must see (None: all) and may change at any time;
-    `release_us` is the vehicle time at which `due` has frames to release.
+    `release_us` is the link time at which `due` has frames to release. `t0_us` is the start of the
+    schedule, `link_us` the link time of its newest input.
     """
+
+    t0_us: int | None
+    link_us: int
 
     @property
     def wanted(self) -> frozenset[int] | None: ...
@@ -49,12 +53,24 @@ class FaultEngine(Protocol):
         """End active faults and restart the schedule at `t0_us`."""
 
     def apply(
-        self, frame: Frame, direction: Direction, t_us: int, *, sealed: bool = False
+        self,
+        frame: Frame,
+        direction: Direction,
+        t_us: int,
+        link_us: int | None = None,
+        *,
+        sealed: bool = False,
     ) -> "list[Outgoing]":
         """Process a frame; a sealed (signed) one may be delayed or dropped but not changed."""
 
     def junk(
-        self, data: bytes | Frame, direction: Direction, t_us: int, *, sealed: bool = False
+        self,
+        data: bytes | Frame,
+        direction: Direction,
+        t_us: int,
+        link_us: int | None = None,
+        *,
+        sealed: bool = False,
     ) -> "list[Outgoing]":
         """Process bytes that are not a frame, or a frame of an unknown message."""
 

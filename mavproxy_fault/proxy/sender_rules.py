@@ -1,4 +1,4 @@
-"""Rules by sender and arrival time: a frame's vehicle time, sequence gaps and routing.
+"""Rules by sender and arrival time: a frame's vehicle and link time, sequence gaps and routing.
 
 Each rule is defined once, on the flat array of `senders`. The core calls it directly, `compiled`
 compiles it; so the functions use only numbers and arrays, and none calls another.
@@ -11,10 +11,15 @@ from mavproxy_fault.proxy.senders import (
     CLOCK_OFFSET,
     GAPS,
     LAST_HEARD,
+    LINK_CLOCK,
+    LINK_STAMP,
+    LINK_STAMP_HEARD,
+    LINK_TIME,
     LINKS,
     NEWEST_STAMP,
     NEWEST_TIME,
     NEXT_SEQ,
+    SIMULATED,
     SYSTEM_LINKS,
     SYSTEM_TIME,
     T0,
@@ -58,6 +63,7 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
         if senders[T0] == UNKNOWN:
             senders[T0] = stamp_us
             senders[NEWEST_TIME] = stamp_us
+            senders[LINK_TIME] = stamp_us
         ahead_us = stamp_us - senders[NEWEST_TIME]
         shift = 0 if abs(ahead_us) <= MAX_TIME_JUMP_US else -ahead_us
         senders[CLOCK_OFFSET + clock] = shift
@@ -84,7 +90,26 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
     senders[CANDIDATE_STAMP + clock] = 0
     senders[NEWEST_TIME] = t_us
     senders[newest_at] = t_us
+    # Of several clocks the link time follows the one that is ahead.
+    ahead = t_us > senders[LINK_STAMP] + now_us - senders[LINK_STAMP_HEARD]
+    if ahead or clock == senders[LINK_CLOCK]:
+        senders[LINK_CLOCK] = clock
+        senders[LINK_STAMP] = t_us
+        senders[LINK_STAMP_HEARD] = now_us
     return t_us
+
+
+def link_time(senders: Senders, now_us: int) -> int:
+    """Return the link time at wall time `now_us`: the newest timestamp and the wall time since.
+
+    It never decreases. A simulator's lockstep stops the clock of its link, so there it is the
+    vehicle time; before the first timestamp it is wall time.
+    """
+    if senders[T0] == UNKNOWN:
+        return now_us
+    if senders[SIMULATED]:
+        return senders[NEWEST_TIME]
+    return max(senders[LINK_TIME], senders[LINK_STAMP] + now_us - senders[LINK_STAMP_HEARD])
 
 
 def missing_before(senders: Senders, sender: int, seq: int) -> int:

@@ -21,11 +21,15 @@ SYSTEM_LINKS = CANDIDATE_STAMP + 2 * SENDERS  # per system: bit mask of links it
 SYSTEM_TIME = SYSTEM_LINKS + 256  # per system: newest vehicle time, UNKNOWN at first
 T0 = SYSTEM_TIME + 256  # first timestamp of all, UNKNOWN at first
 NEWEST_TIME = T0 + 1  # newest vehicle time of all
-WALL_OFFSET = NEWEST_TIME + 1  # wall time minus vehicle time, at the newest frame
+WALL_OFFSET = NEWEST_TIME + 1  # wall time minus link time, at the newest frame
 VEHICLE_SYSTEM = WALL_OFFSET + 1  # the system id used in the proxy's own frames
 UNCONFIRMED = VEHICLE_SYSTEM + 1  # number of unconfirmed timestamps
 SIMULATED = UNCONFIRMED + 1  # 1 from the first HIL_SENSOR: the timeline is the simulator's
-SIZE = SIMULATED + 1
+LINK_TIME = SIMULATED + 1  # newest link time
+LINK_STAMP = LINK_TIME + 1  # vehicle time from which the link time continues
+LINK_STAMP_HEARD = LINK_STAMP + 1  # wall time of it
+LINK_CLOCK = LINK_STAMP_HEARD + 1  # the clock that it is from
+SIZE = LINK_CLOCK + 1
 
 
 def new_senders() -> "array[int]":
@@ -35,6 +39,6 @@ def new_senders() -> "array[int]":
     senders[NEXT_SEQ:GAPS] = unknown * SENDERS
     senders[CLOCK_OFFSET:NEWEST_STAMP] = unknown * (2 * SENDERS)
     senders[SYSTEM_TIME:T0] = unknown * 256
-    senders[T0] = UNKNOWN
+    senders[T0] = senders[LINK_STAMP] = UNKNOWN
     senders[VEHICLE_SYSTEM] = 1
     return senders

@@ -30,6 +30,7 @@ from mavproxy_fault.schedule.triggers import Condition, event_condition
 
 SCHEDULE_KEYS = ("seed", "faults")
 Via = Literal["proxy", "simulator"]
+Clock = Literal["vehicle", "link"]
 Byte = Annotated[int, Meta(ge=0, le=255)]
 
 
@@ -70,7 +71,8 @@ class EntryKeys(
     """The keys that every entry of a schedule may have, besides the parameters of its fault.
 
     `at_s` counts from the flight event `from`. With `via: simulator` a satellite fault acts in
-    the simulated receiver instead of on the wire.
+    the simulated receiver instead of on the wire. `clock` is what its times and its fault count in,
+    by default link time for faults of the link, else vehicle time.
     """
 
     id: str | None = None
@@ -86,6 +88,7 @@ class EntryKeys(
     where: Where = Where()
     probability: Annotated[float, Meta(ge=0, le=1)] = 1.0
     via: Via | None = None
+    clock: Clock | None = None
 
 
 KEYS = tuple(field.encode_name for field in msgspec.structs.fields(EntryKeys))
@@ -113,6 +116,7 @@ class Entry(msgspec.Struct, frozen=True, kw_only=True):
     repeat: Repeat | None = None
     where: Where = Where()
     probability: float = 1.0
+    clock: Clock = "vehicle"
     written: dict[str, Any] = {}
 
     @property
@@ -302,6 +306,7 @@ def _entry(
     after = keys.pop("after", None)
     keys["after"] = After(id=after) if isinstance(after, str) else after
     keys["id"] = keys.get("id") or default_id(name, number)
+    keys["clock"] = keys.get("clock") or getattr(fault, "clock", "vehicle")
     return Entry(name=name, fault=fault, ids=ids, targets=names, written=data, **keys)
 
 

@@ -15,7 +15,8 @@ class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     ends; the last line with the same `id` and `start_us` is valid. Timestamps are microseconds of
     vehicle time, like those in the frames; the schedule's `at_s` counts from `t0_us`. `direction`
     is from-vehicle, to-vehicle, or both. If the fault's value is changed during the activation,
-    a further line has the new value and its time.
+    a further line has the new value and its time. `clock` is "link" if times are of the link clock,
+    which has the same origin; else they are vehicle time.
     """
 
     id: str
@@ -35,6 +36,7 @@ class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     recorded: bool = False  # injected into a recording, so no vehicle could react
     value: float | None = None  # set by a live edit
     changed_us: int | None = None
+    clock: str = ""
     by: str = ""  # "autopilot" if the vehicle itself failed the unit, at MAV_CMD_INJECT_FAILURE
 
 

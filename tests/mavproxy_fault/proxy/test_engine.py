@@ -419,6 +419,6 @@ faults:
         engine.advance_time(10_000_000)
         prepared = engine.prepare_entries(schedule) if beforehand else None
         engine.replace(schedule, prepared=prepared)
-        states.append((engine.state(), engine.edge_us, engine.active))
+        states.append((engine.state(), engine.edges_us, engine.active))
     assert states[0] == states[1]
     assert states[0][2] == ["follows", "acts"]
