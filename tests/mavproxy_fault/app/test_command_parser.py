@@ -68,6 +68,14 @@ def test_the_proxy_accepts_mavproxys_option_without_showing_it() -> None:
     assert "--out EP" not in build_parser("proxy").format_help()
 
 
+@pytest.fixture(scope="module")
+def bash_completion() -> str:
+    return subprocess.run(
+        [sys.executable, "-m", "mavproxy_fault.cli", "--completion", "bash"],
+        capture_output=True, text=True, check=True,
+    ).stdout  # fmt: skip
+
+
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash here")
 @pytest.mark.parametrize(
     ("typed", "offered"),
@@ -77,17 +85,15 @@ def test_the_proxy_accepts_mavproxys_option_without_showing_it() -> None:
      ("inject x --target HIL_SENS", ["HIL_SENSOR"]), ("search x --method so", ["sobol"]),
      ("run --estimators com", ["complementary"])],
 )  # fmt: skip
-def test_bash_completes_a_partial_argument(tmp_path: Path, typed: str, offered: list[str]) -> None:
+def test_bash_completes_a_partial_argument(
+    tmp_path: Path, bash_completion: str, typed: str, offered: list[str]
+) -> None:
     for name in ("a_schedule.yaml", "a.tlog", "a.txt"):
         (tmp_path / name).touch()
     (tmp_path / "a_folder").mkdir()
-    made = subprocess.run(
-        [sys.executable, "-m", "mavproxy_fault.cli", "--completion", "bash"],
-        capture_output=True, text=True, check=True,
-    ).stdout  # fmt: skip
     words = ["mavproxy-fault", *typed.split()]
     script = (
-        f"{made}\nCOMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}; "
+        f"{bash_completion}\nCOMP_WORDS=({' '.join(words)}); COMP_CWORD={len(words) - 1}; "
         f"_shtab_mavproxy_fault mavproxy-fault {words[-1]} {words[-2]}; "
         'printf "%s\\n" "${COMPREPLY[@]}"'
     )
