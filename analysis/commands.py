@@ -192,7 +192,8 @@ def add_campaign(commands: Any) -> None:
     )
     parser.add_argument(
         "file", nargs="+", metavar="YAML",
-        help="campaign file; or: compare BEFORE AFTER (baseline.json); or: search DIR [CELL]",
+        help="campaign file; or: compare BEFORE AFTER (baseline.json); or: search DIR [CELL]; or: "
+        "bisect FILE GOOD BAD",
     )  # fmt: skip
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
@@ -203,6 +204,13 @@ def add_campaign(commands: Any) -> None:
         "--out", metavar="DIR", help="new or unfinished campaign's folder (default: in runs/)"
     )
     parser.add_argument("--dataset", metavar="DIR", help="write the flights as a labelled data set")
+    parser.add_argument(
+        "--evidence", metavar="DIR", help="write failure modes, effects and requirements as tables"
+    )
+    parser.add_argument("--build", metavar="CMD", help="of bisect: builds a commit")
+    parser.add_argument(
+        "--binary", metavar="PATH", help="of bisect: the autopilot's program that CMD builds"
+    )
     parser.add_argument("--dry-run", action="store_true", help="print only the size and duration")
     add_json(parser)
     parser.set_defaults(main=main_of("analysis.campaign.campaign_command"))

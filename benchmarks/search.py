@@ -164,9 +164,9 @@ def speed():
 
 def workers():
     """Tests of 60 s a minute of wall time on two processes, noise drawn for each flight."""
+    from analysis.flying.worker_pool import LocalWorkerPool
     from analysis.search.evaluation.evaluation_job import evaluate_with
     from analysis.search.space.test_file import TestFile
-    from analysis.worker_pool import LocalWorkerPool
 
     test = msgspec.convert({**STEADY, "noise_draws": 1}, TestFile)
     points = np.random.default_rng(1).random((4096, 4))

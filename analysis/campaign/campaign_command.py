@@ -1,4 +1,4 @@
-"""`mavproxy-fault campaign`: fly test cells, compare two campaigns, or search around a cell."""
+"""`mavproxy-fault campaign`: fly test cells, compare campaigns, bisect, or search around a cell."""
 
 import argparse
 import os
@@ -8,15 +8,7 @@ from typing import NamedTuple
 
 from analysis.campaign.campaign_file import CampaignFile, read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
-from analysis.campaign.campaign_run import CampaignRun
-from analysis.campaign.cell import CellResult
-from analysis.campaign.outcomes import outcome_rank
-from analysis.campaign.results.campaign_report import write_report
-from analysis.campaign.results.live_heat_map import LiveHeatMap
-from analysis.campaign.results.outcome_table import print_outcomes
-from analysis.campaign.results_store import ResultsStore
-from analysis.work_progress import WorkProgress
-from analysis.worker_pool import open_worker_pool
+from analysis.campaign.campaign_run import run_campaign
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -28,13 +20,20 @@ AUTOPILOT_SPEED = 1.0
 
 
 def main(args: argparse.Namespace) -> int:
-    """Fly a campaign, compare two, or write a search around a cell; return the exit code."""
+    """Fly a campaign, compare two, bisect commits, or write a search around a cell; return the exit
+    code."""
     if args.file[0] == "compare":
         from analysis.campaign.results.campaign_comparison import compare_folders
 
         if len(args.file) != 3:
             raise ConfigError("campaign compare: needs two campaign folders, BEFORE and AFTER")
         return compare_folders(Path(args.file[1]), Path(args.file[2]), args)
+    if args.file[0] == "bisect":
+        from analysis.campaign.commit_search import bisect_commits
+
+        if len(args.file) != 4 or not (args.build and args.binary):
+            raise ConfigError("campaign bisect: needs FILE GOOD BAD, --build CMD and --binary PATH")
+        return bisect_commits(args.file[1], args.file[2], args.file[3], args)
     if args.file[0] == "search":
         from analysis.campaign.results.cell_search import write_search
 
@@ -63,6 +62,10 @@ def main(args: argparse.Namespace) -> int:
         from analysis.campaign.results.data_set import export_data_set
 
         export_data_set(folder, Path(args.dataset))
+    if args.evidence:
+        from analysis.campaign.results.evidence import write_evidence
+
+        write_evidence(folder, Path(args.evidence))
     return int(failed > 0)
 
 
@@ -86,40 +89,6 @@ def check_binaries(campaign: CampaignFile) -> None:
         except ConfigError as error:
             text = str(error).removeprefix("--binary: ")
             raise ConfigError(f"{campaign.name}: subject {subject.name}: binary {text}") from None
-
-
-def run_campaign(plan: CampaignPlan, folder: Path, workers: int, args: argparse.Namespace) -> int:
-    """Fly the missing cells, then write and print the results, also after Ctrl-C.
-
-    Returns
-    -------
-    int
-        The number of cells that failed.
-    """
-    campaign = plan.campaign
-    store = ResultsStore(folder, campaign)
-    pool = open_worker_pool(workers, args.ray, campaign.flight_limit_s)
-    try:
-        with WorkProgress("flying", plan.max_cells, "cells") as progress:
-            heat_map = LiveHeatMap(folder, plan)
-
-            worst = list(store.results.values())
-
-            def show(results: list[CellResult]) -> None:
-                worst[:] = [max(worst + results, key=lambda one: outcome_rank(one.outcome))]
-                text = f"worst: {worst[0].outcome} ({worst[0].cell.fault})"
-                progress.show(len(store.results), text)
-                heat_map.show(results)
-
-            CampaignRun(plan, pool, store, show).run_all()
-    finally:
-        pool.close()
-        store.close()
-        # There may be no results if the first flight was refused.
-        if store.results:
-            summary = {**write_report(folder, plan), "folder": folder}
-            print_result(args, summary, lambda: print_outcomes(folder, plan))
-    return sum(campaign.fails(result) for result in store.results.values())
 
 
 def new_folder(parent: Path, name: str) -> Path:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import msgspec
 
 from analysis.campaign.cell import CellResult
-from analysis.campaign.outcomes import ABORTED, OutcomeLimits, outcome_rank
+from analysis.campaign.outcomes import ABORTED, RANKS, OutcomeLimits, outcome_rank
 from analysis.estimators import estimator_names
 from analysis.flying.flight_evidence import MONITOR
 from analysis.flying.onset import onset_keys
@@ -170,7 +170,7 @@ class CampaignFile(_Section, frozen=True, dict=True):
 
     `vary` lists values of scenario keys, such as wind and start, by their paths; `requirements`
     are judged in each flight, `criteria` limit what happens to the vehicle of an autopilot;
-    `combine` adds pairs of faults.
+    `combine` adds pairs of faults; `severity` gives outcomes the user's classes in an FMEA.
     """
 
     subjects: tuple[str | SubjectChoice, ...]
@@ -188,6 +188,7 @@ class CampaignFile(_Section, frozen=True, dict=True):
     flight_limit_s: float = 600.0
     requirements: Any = None
     combine: Combination | Literal[2] | None = None
+    severity: dict[str, str] = {}
     folder: str = "."
 
     def __post_init__(self) -> None:
@@ -196,6 +197,9 @@ class CampaignFile(_Section, frozen=True, dict=True):
                 raise ValueError(f"{name} is empty; give at least one")
         for onset in self.onsets:
             onset_keys(onset)
+        for name in self.severity:
+            if name not in RANKS:
+                raise ValueError(f"severity.{name} is unknown; {suggest_known(name, [*RANKS])}")
         parse_requirements(self.requirements)
         if self.combine and (self.find == "critical" or self.compiled):
             raise ValueError("combine needs find: outcomes and scenario files")

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.flying.worker_pool import WorkerPool, open_worker_pool
 from analysis.search.archive import Archive, Case
 from analysis.search.breakdown import case_breakdown
 from analysis.search.cases import (
@@ -31,7 +32,6 @@ from analysis.search.searchers import make_searcher
 from analysis.search.shrink import Values, drop_faults, mean_errors, shrink_faults
 from analysis.search.space.test_file import TestFile, read_test
 from analysis.work_progress import WorkProgress
-from analysis.worker_pool import WorkerPool, open_worker_pool
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 

@@ -196,7 +196,7 @@ def _reactions_html(grid: Sequence[GridRow]) -> str:
             )
         )
     head = ("subject", "fault", "detected", "median delay, s", "recovered", "median recovery, s")
-    return "<h2>Reaction times</h2>" + _table("Reaction times", head, rows)
+    return "<h2>Reaction times</h2>" + html_table("Reaction times", head, rows)
 
 
 def _pareto_html(grid: Sequence[GridRow], limits: OutcomeLimits) -> str:
@@ -215,7 +215,9 @@ def _pareto_html(grid: Sequence[GridRow], limits: OutcomeLimits) -> str:
         so_far += count
         rows.append((subject, fault, f"{count}", f"{count / total:.0%}", f"{so_far / total:.0%}"))
     head = ("subject", "fault", f"cells {limits.worse_from} or worse", "share", "cumulative")
-    return "<h2>Most harmful faults (Pareto)</h2>" + _table("Pareto", head, rows[:MAX_PARETO_ROWS])
+    return "<h2>Most harmful faults (Pareto)</h2>" + html_table(
+        "Pareto", head, rows[:MAX_PARETO_ROWS]
+    )
 
 
 def _worst_html(results: Sequence[CellResult], units: dict[str, MagnitudeUnit]) -> str:
@@ -239,10 +241,11 @@ def _worst_html(results: Sequence[CellResult], units: dict[str, MagnitudeUnit]) 
         "outcome", "subject", "fault", "magnitude", "onset", "excursion, deg", "excursion, m",
         "note", "monitor",
     )  # fmt: skip
-    return "<h2>Worst cells</h2>" + _table("Worst cells", head, rows)
+    return "<h2>Worst cells</h2>" + html_table("Worst cells", head, rows)
 
 
-def _table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table of escaped texts that scrolls if it is too wide."""
     top = "".join(f"<th>{escape(name)}</th>" for name in head)
     body = "".join(
         "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows

@@ -9,7 +9,7 @@ from analysis.campaign.campaign_file import read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.campaign_run import CampaignRun
 from analysis.campaign.results_store import ResultsStore
-from analysis.worker_pool import RayWorkerPool
+from analysis.flying.worker_pool import RayWorkerPool
 
 ray = pytest.importorskip("ray", reason="Ray is not installed")
 HERE = Path(__file__).parent

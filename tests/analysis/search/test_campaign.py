@@ -5,6 +5,7 @@ import argparse
 import numpy as np
 import pytest
 
+from analysis.flying.worker_pool import InProcessPool, LocalWorkerPool
 from analysis.search.archive import MIN_DISTANCE, Archive, rms_distance
 from analysis.search.cases import yaml_of_test
 from analysis.search.evaluation.compiled_batch import EvaluationOutcome
@@ -18,7 +19,6 @@ from analysis.search.space.test_file import (
     TestFile,
     read_test,
 )
-from analysis.worker_pool import InProcessPool, LocalWorkerPool
 from mavproxy_fault.documents.errors import ConfigError
 
 TEST = TestFile(

@@ -6,10 +6,10 @@ import signal
 import numpy as np
 import pytest
 
+from analysis.flying.worker_pool import RayWorkerPool
 from analysis.search.evaluation.compiled_batch import Batch
 from analysis.search.evaluation.evaluation_job import EvaluationJob, evaluate_with
 from analysis.search.space.test_file import InitialState, TestFile
-from analysis.worker_pool import RayWorkerPool
 
 ray = pytest.importorskip("ray", reason="Ray is not installed")
 TEST = TestFile(duration_s=1.0, noise_draws=2, initial=InitialState(roll_deg=(-40.0, 40.0)))

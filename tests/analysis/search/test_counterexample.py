@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
+from analysis.search import counterexample
 from analysis.search.space.dimensions import fault_entries
 from analysis.search.space.fault_picks import expand_picks, interpolate
 from analysis.search.space.point_scenario import faults_of
@@ -67,6 +68,18 @@ def test_a_counterexample_is_reduced_to_its_cause_and_flies_again(folder: Path, 
     assert cli.main([*words, "--out", str(again), "--zenoh", "off", "--no-report"]) == 1
     (row,) = json.loads((again / "summary.json").read_text())["requirements"]
     assert f"{row['name']}: violated by {-row['robustness']:.3g} deg" in found["violation"]
+
+
+def test_a_case_that_violates_in_few_of_its_repeated_flights_is_reduced_less(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As at the edge of what an autopilot stands, where its flights differ."""
+    flights = counterexample._Flights(read_test(folder / "search.yaml"), 0, {"size": 4.0})
+    monkeypatch.setattr(
+        flights, "fly", lambda one, n: one["size"] > 1.5 or (one["size"] > 0.5 and n == 0)
+    )
+    assert flights.violate([{"size": 2.0}, {"size": 0.5}, {"size": 1.0}]) == [True, False, True]
+    assert flights.repeat() == ({"size": 2.0}, 2)  # 1.0 does in one of two
 
 
 def test_picks_select_fault_target_onset_and_size(folder: Path) -> None:

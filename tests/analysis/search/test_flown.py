@@ -7,6 +7,7 @@ import yaml
 
 from analysis.campaign.campaign_file import read_campaign
 from analysis.flying.onset import onset_keys
+from analysis.flying.worker_pool import InProcessPool
 from analysis.run.proxied_flight import ProxiedFlight
 from analysis.run.run_setup import read_setup
 from analysis.scoring.attitude_scoring import AttitudeConfig
@@ -25,7 +26,6 @@ from analysis.search.space.test_file import (
     TestFile,
     read_test,
 )
-from analysis.worker_pool import InProcessPool
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.schedule.entries import parse_schedule
 

@@ -8,11 +8,11 @@ import pytest
 from analysis.campaign.campaign_file import read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.campaign_run import answer_of
-from analysis.worker_pool import JobFailure, LocalWorkerPool, RayWorkerPool
+from analysis.flying.worker_pool import JobFailure, LocalWorkerPool, RayWorkerPool
 from mavproxy_fault.documents.errors import ConfigError
 
-SMALL = read_campaign(Path(__file__).parent / "campaign" / "small.yaml")
-LONG = msgspec.structs.replace(SMALL, folder=str(Path(__file__).parent / "campaign"))
+SMALL = read_campaign(Path(__file__).parents[1] / "campaign" / "small.yaml")
+LONG = msgspec.structs.replace(SMALL, folder=str(Path(__file__).parents[1] / "campaign"))
 
 
 def test_a_hung_flight_is_ended_and_reported() -> None:

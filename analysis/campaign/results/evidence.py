@@ -1,0 +1,229 @@
+"""The evidence folder of a campaign: failure modes and effects (FMEA), and requirements.
+
+    evidence.html     both tables, with inputs and versions, to print or to save as PDF
+    fmea.csv          a row for each subject, fault and magnitude
+    requirements.csv  a row for each subject and requirement
+    campaign.yaml, rows/NAME.yaml   campaign files that make all numbers, or those of a row, again
+
+Bounds are those of Clopper and Pearson [1]_ for the share of failed flights, with a confidence of
+95 %. A hash covers all results of a row but the time they took.
+
+References
+----------
+.. [1] Clopper and Pearson, Biometrika 26(4), 1934.
+"""
+
+import csv
+import hashlib
+import os
+import shlex
+from collections import Counter
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from statistics import median
+
+import msgspec
+from scipy.stats import binomtest
+
+from analysis.campaign.campaign_file import CampaignFile, FaultChoice
+from analysis.campaign.cell import CellResult, file_key
+from analysis.campaign.magnitude_unit import magnitude_units
+from analysis.campaign.outcomes import ABORTED
+from analysis.campaign.results.campaign_page import html_table
+from analysis.campaign.results.outcome_grid import GridCell, GridRow, outcome_grid
+from analysis.campaign.results_store import read_campaign_folder
+from mavproxy_fault import __version__
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import without_none, write_yaml
+from mavproxy_fault.faults.registry import fault_class
+from mavproxy_fault.schedule.presets import read_preset
+
+CONFIDENCE = 0.95
+Row = dict[str, str]
+
+
+def write_evidence(folder: Path, out: Path) -> None:
+    """Write the evidence of a completed campaign.
+
+    Raises
+    ------
+    ConfigError
+        If a campaign file cannot repeat its rows.
+    """
+    campaign, results = read_campaign_folder(folder)
+    if campaign.compiled or campaign.cover != "all":
+        raise ConfigError("--evidence: needs scenario files, and all pairs if any (cover: all)")
+    (out / "rows").mkdir(parents=True, exist_ok=True)
+    (out / "campaign.yaml").write_text(campaign_text(campaign, out))
+    grid = outcome_grid(results, campaign)
+    tables = {
+        "fmea": [fmea_row(campaign, row, cell, out) for row in grid for cell in row.cells],
+        "requirements": requirement_rows(results),
+    }
+    for name, rows in tables.items():
+        with (out / f"{name}.csv").open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]) if rows else [])
+            writer.writeheader()
+            writer.writerows(rows)
+    (out / "evidence.html").write_text(render_page(campaign, tables), encoding="utf-8")
+
+
+def fmea_row(campaign: CampaignFile, row: GridRow, cell: GridCell, out: Path) -> Row:
+    """Return the row of a subject, a fault and a magnitude, and write its campaign file."""
+    fault = campaign.all_faults[row.fault]
+    size = magnitude_units(campaign)[row.fault].describe(cell.magnitude)
+    flown = [one for one in cell.results if one.outcome != ABORTED]
+    outcomes = Counter(one.outcome for one in flown)
+    detected = [one for one in flown if one.detected_s is not None]
+    delays_s = [one.detected_s for one in detected if one.detected_s is not None]
+    failsafes = Counter(one.failsafe for one in flown if one.failsafe)
+    sized = fault if cell.magnitude is None else replace_magnitude(fault, cell.magnitude)
+    file = out / "rows" / f"{file_key(row.subject, row.fault, size)}.yaml"
+    file.write_text(campaign_text(campaign, file.parent, row.subject, sized))
+    return {
+        "subject": row.subject,
+        "failure mode": f"{row.fault} {size}".rstrip(),
+        "local effect": describe_fault(fault),
+        "effect on the vehicle": _counts(outcomes),
+        "detection": _counts(Counter(one.detected_by for one in detected)) or "none",
+        "detection delay, s": f"{median(delays_s):.2f}" if delays_s else "",
+        "mitigation": _counts(failsafes) or "none",
+        "severity": campaign.severity.get(cell.worst.outcome, cell.worst.outcome),
+        **_failure_bounds(sum(campaign.fails(one) for one in flown), len(flown)),
+        **_provenance(cell.results, str(file.relative_to(out))),
+    }
+
+
+def requirement_rows(results: Sequence[CellResult]) -> list[Row]:
+    """Return a row for each subject and requirement."""
+    names = dict.fromkeys((r.cell.subject, one.name) for r in results for one in r.requirements)
+    rows = []
+    for subject, name in names:
+        own = [result for result in results if result.cell.subject == subject]
+        judged = [(one, r) for r in own for one in r.requirements if one.name == name]
+        worst, where = min(judged, key=lambda pair: pair[0].fitness)
+        shown = [one for one, _ in judged if one.met is not None]
+        rows.append(
+            {
+                "subject": subject,
+                "requirement": name,
+                "formula": worst.formula,
+                "worst": worst.describe(),
+                "in cell": where.cell.key,
+                **_failure_bounds(sum(not one.met for one in shown), len(shown)),
+                **_provenance(own, "campaign.yaml"),
+            }
+        )
+    return rows
+
+
+def describe_fault(fault: FaultChoice) -> str:
+    """Describe what a fault does to its target, by the documentation of its kind."""
+    if fault.faults:
+        return " ".join(map(describe_fault, fault.faults))
+    target = fault.target if isinstance(fault.target, str) else ", ".join(fault.target or [])
+    kind = fault_class(fault.fault) if fault.fault else None
+    about = read_preset(fault.preset)["about"] if fault.preset else ""
+    what = (kind.__doc__ or "").splitlines()[0] if kind else about
+    return f"{target}: {what}" if target else what
+
+
+def replace_magnitude(fault: FaultChoice, magnitude: float) -> FaultChoice:
+    """Return a fault with one magnitude, under the same name."""
+    return msgspec.structs.replace(fault, id=fault.name, magnitudes=(magnitude,))
+
+
+def campaign_text(
+    campaign: CampaignFile,
+    folder: Path,
+    subject: str | None = None,
+    fault: FaultChoice | None = None,
+) -> str:
+    """Return a campaign file for a folder: the campaign, or its flights of a subject and fault."""
+
+    def moved(path: str) -> str:
+        return os.path.relpath(Path(campaign.folder) / path, folder)
+
+    subjects = [
+        one
+        if isinstance(one, str)
+        else msgspec.structs.replace(one, parameters=one.parameters and moved(one.parameters))
+        for one in campaign.subjects
+    ]
+    changed = msgspec.structs.replace(
+        campaign,
+        subjects=tuple(s for s, n in zip(subjects, campaign.subject_names, strict=True)
+                       if subject in (None, n)),
+        scenarios=tuple(moved(str(scenario)) for scenario in campaign.scenarios),
+    )  # fmt: skip
+    if fault is not None:
+        limits = msgspec.structs.replace(campaign.limits, fail_from=campaign.fail_from)
+        changed = msgspec.structs.replace(
+            changed, faults=(fault,), combine=None, find="outcomes", limits=limits
+        )
+    document = without_none(msgspec.to_builtins(changed))
+    del document["folder"]
+    return write_yaml(document)
+
+
+def render_page(campaign: CampaignFile, tables: dict[str, list[Row]]) -> str:
+    """Return the page: inputs with their hashes, then both tables."""
+    inputs = [(f"mavproxy-fault {__version__}", "")]
+    paths = [campaign.scenario_arguments(name)[0] for name in campaign.scenario_names]
+    paths += [s.binary for s in campaign.subjects if not isinstance(s, str)]
+    inputs += [(path, file_hash(path)) for path in dict.fromkeys(paths)]
+    parts = [html_table("Inputs", ("input", "sha256"), inputs)]
+    for title, rows in zip(("Failure modes and effects", "Requirements"), tables.values(),
+                           strict=True):  # fmt: skip
+        if rows:
+            parts.append(f"<h2>{title}</h2>")
+            parts.append(html_table(title, list(rows[0]), [list(row.values()) for row in rows]))
+    style = (files("analysis.report.page") / "assets" / "page.css").read_text()
+    name = escape(f"Evidence: {campaign.name}")
+    return (
+        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name}</title>'
+        f"<style>{style}</style></head><body><header><h1>{name}</h1></header><main>"
+        "<p>Bounds: share of failed flights, 95 % confidence (Clopper and Pearson), for the "
+        "conditions flown here. A hash covers the results of a row but the time they took; the "
+        "command makes them again, in this folder.</p>" + "".join(parts) + "</main></body></html>\n"
+    )
+
+
+def file_hash(path: str) -> str:
+    """Return the SHA-256 of a file; empty for a program that is only in the PATH."""
+    file = Path(path)
+    return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
+
+
+def _failure_bounds(failed: int, flights: int) -> Row:
+    interval = (0.0, 1.0)
+    if flights:
+        interval = binomtest(failed, flights).proportion_ci(CONFIDENCE, "exact")
+    low, high = (f"{share:.4f}" for share in interval)
+    return {"flights": str(flights), "failed": str(failed), "at least": low, "at most": high}
+
+
+def _provenance(results: Sequence[CellResult], file: str) -> Row:
+    """The hash of results, by names of scenarios without folders, and the command."""
+    lines = sorted(
+        msgspec.json.encode(
+            msgspec.structs.replace(
+                result, wall_s=0.0,
+                cell=msgspec.structs.replace(
+                    result.cell, scenario=result.cell.scenario.rpartition("/")[2]
+                ),
+            )
+        )
+        for result in results
+    )  # fmt: skip
+    command = ["mavproxy-fault", "campaign", file, "--evidence", "again"]
+    return {
+        "sha256": hashlib.sha256(b"\n".join(lines)).hexdigest(),
+        "command": shlex.join(command),
+    }
+
+
+def _counts(counts: Counter[str]) -> str:
+    return ", ".join(f"{name} {count}" for name, count in counts.most_common())

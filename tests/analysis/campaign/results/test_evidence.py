@@ -1,0 +1,63 @@
+"""The evidence folder: a table of failure modes whose numbers its own commands make again."""
+
+import csv
+import shlex
+import shutil
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from analysis.campaign.campaign_file import FaultChoice, read_campaign
+from analysis.campaign.results.evidence import describe_fault
+from mavproxy_fault import cli
+
+HERE = Path(__file__).parents[1]
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    shutil.copy(HERE / "short.yaml", tmp_path)
+    text = (HERE / "small.yaml").read_text().replace("[ekf, mahony]", "[mahony]")
+    text += "requirements: [knows_its_attitude]\nseverity: {lost: hazardous}\n"
+    (tmp_path / "small.yaml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_each_row_is_made_again_by_its_command(folder: Path, monkeypatch) -> None:
+    arguments = ["--workers", "1", "--out"]
+    assert cli.main(["campaign", "small.yaml", "--evidence", "e", *arguments, "c"]) == 1
+    mild, severe = rows_of(folder / "e" / "fmea.csv")
+    assert severe["failure mode"] == "gyro 2 rad/s"
+    assert severe["severity"] == "hazardous"
+    assert (mild["severity"], mild["failed"], severe["failed"]) == ("unaffected", "0", "1")
+    # One flight without a failure bounds its probability by 1 - 0.025.
+    assert (mild["at least"], mild["at most"]) == ("0.0000", "0.9750")
+    (required,) = rows_of(folder / "e" / "requirements.csv")
+    assert (required["requirement"], required["flights"]) == ("knows_its_attitude", "2")
+    assert required["failed"] == "1"
+    page = (folder / "e" / "evidence.html").read_text()
+    assert severe["sha256"] in page
+    monkeypatch.chdir(folder / "e")
+    program, *words = shlex.split(severe["command"])
+    assert program == "mavproxy-fault"
+    assert cli.main([*words, *arguments, "row"]) == 1
+    assert rows_of(Path("again") / "fmea.csv") == [severe]
+
+
+def test_a_fault_is_described_by_its_kind_and_target() -> None:
+    fault = FaultChoice(fault="bias", target="HIL_SENSOR.xgyro")
+    assert describe_fault(fault).startswith("HIL_SENSOR.xgyro: Add a constant")
+    assert describe_fault(FaultChoice(preset="gps-freeze")).startswith("The GPS repeats")
+
+
+def test_classes_of_unknown_outcomes_are_refused() -> None:
+    campaign = read_campaign(HERE / "small.yaml")
+    with pytest.raises(ValueError, match=r"severity\.crash is unknown; did you mean crashed"):
+        msgspec.structs.replace(campaign, severity={"crash": "catastrophic"}).__post_init__()
