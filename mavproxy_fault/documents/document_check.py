@@ -19,6 +19,8 @@ T = TypeVar("T")
 
 NotFinite = Annotated[float, Meta(extra={"finite": False})]
 """A number that may be `.inf` or `.nan`, which any other number may not."""
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
 
 # Chosen: enough to work on; a file of another kind gives thousands.
 MOST_ERRORS = 30

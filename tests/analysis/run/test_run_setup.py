@@ -42,7 +42,7 @@ def test_another_schedule_drops_the_requirements_on_the_scenarios_faults(tmp_pat
         ("monitor: {sigma: {floor_m: .nan}}", "monitor.sigma.floor_m = nan is not finite"),
         ("monitor: {rule: best}", "monitor.rule = 'best' is unknown; known: explicit"),
         ("monitor: {systems: X}", "monitor.systems = 'X' names no system or an unknown one"),
-        ("monitor: {fusion: {lag_s: -1}}", "monitor.fusion.lag_s = -1.0 is not positive"),
+        ("monitor: {fusion: {lag_s: -1}}", "monitor.fusion.lag_s = -1 does not fit"),
         ("criteria: {must_detect: 3}", "scenario.yaml:2: criteria.must_detect = 3 does not fit"),
         ("criteria: {must: [a]}", "criteria.must is unknown; did you mean must_"),
         ("criteria: [a]", "scenario.yaml:2: criteria = ['a'] does not fit"),
