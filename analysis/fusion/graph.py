@@ -103,13 +103,6 @@ class Graph:
         """The newest estimate of an epoch's pose."""
         return (self.node if epoch == self.node.epoch else self.estimate(epoch)).pose
 
-    def neighbours(self, epoch: int) -> tuple[int | None, int | None]:
-        """The epochs before and after one."""
-        at = bisect_left(self._track, (self.epochs[epoch].t_us, epoch))
-        before = self._track[at - 1][1] if at > 0 else None
-        after = self._track[at + 1][1] if at + 1 < len(self._track) else None
-        return before, after
-
     def vision_neighbours(self, epoch: int, within_us: int) -> tuple[int | None, int | None]:
         """The nearest epochs with a vision pose before and after one."""
         t_us = self.epochs[epoch].t_us
@@ -120,8 +113,8 @@ class Graph:
 
     def begins_span(self) -> bool:
         """Whether the newest epoch is the first of its span of the window."""
-        before, _ = self.neighbours(self.node.epoch)
-        return before is not None and self.span(before) != self.span(self.node.epoch)
+        newest = [self.span(epoch) for _, epoch in self._track[-2:]]
+        return len(newest) == 2 and newest[0] != newest[1]
 
     def span(self, epoch: int) -> int:
         """The span of the window that contains an epoch."""
