@@ -228,7 +228,8 @@ class Simulation:
                 raise ConfigError(f"plant: {name} = {value} is impossible; {error}") from None
             self._plant = changed
         else:
-            fitted, fitted.state = self._with_satellite_plant(name, value)
+            fitted, state = self._with_satellite_plant(name, value)
+            fitted.state = state
 
     def check_plant(self, name: str) -> None:
         """Refuse a plant fault that this simulation does not support; changes nothing.
