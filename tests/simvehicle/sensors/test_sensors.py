@@ -21,7 +21,6 @@ from simvehicle.sensors.flow import OpticalFlow
 from simvehicle.sensors.gps import Gps, GpsError
 from simvehicle.sensors.imu import ImuSensor
 from simvehicle.sensors.magnetometer import Magnetometer
-from simvehicle.sensors.measure_kernel import measure
 from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.readings import (
     BatteryReading,
@@ -32,6 +31,7 @@ from simvehicle.sensors.readings import (
 )
 from simvehicle.sensors.vision import Vision
 from simvehicle.simulation.onboard_sensors import CompiledOnboardSensor
+from simvehicle.simulation.step_kernel import measure
 from simvehicle.vehicles.body import Truth
 
 FIELD = (0.21, 0.01, 0.43)
