@@ -84,7 +84,7 @@ def test_isolated_and_alarmed_sensors_are_left_out():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"lag_s": 0.0}, "monitor.fusion.lag_s = 0.0 does not fit"),
+        ({"lag_s": 0.0}, "monitor.fusion.lag_s = 0.0 is out of range"),
         ({"hopeless": 2.0}, "is not above suspicious"),
         ({"robust": "cauchy"}, "known: geman-mcclure, gnc, huber, none"),
         ({"lag": 5.0}, "monitor.fusion.lag is unknown"),

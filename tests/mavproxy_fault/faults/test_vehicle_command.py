@@ -134,7 +134,7 @@ def test_an_auxiliary_function_is_set_and_reset():
         ({"do": "fly"}, "do = 'fly'"),
         ({"do": "arm", "params": [1]}, "params and afterwards need number"),
         ({"number": 1, "params": [0] * 8}, "at most seven params"),
-        ({"do": "take-off", "height_m": -3}, "height_m = -3 does not fit"),
+        ({"do": "take-off", "height_m": -3}, "height_m = -3 is out of range"),
     ],
 )
 def test_an_invalid_command_is_refused(keys, reason):

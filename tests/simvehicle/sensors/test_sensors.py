@@ -265,5 +265,5 @@ def test_a_gps_error_in_metres_is_metres_on_the_ground() -> None:
 
 @pytest.mark.parametrize("name", ["sigma", "density", "bias_sigma", "drift_sigma", "walk"])
 def test_negative_noise_is_refused(name: str) -> None:
-    with pytest.raises(ConfigError, match=f"{name} = -1.0 does not fit: expected `float` >= 0"):
+    with pytest.raises(ConfigError, match=f"{name} = -1.0 is out of range; 0 or more"):
         decode(Document({name: -1.0}, "noise.yaml", {}), NoiseModel)
