@@ -85,10 +85,10 @@ class SensorDecision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=T
     """
 
     sensor: str
-    statistic: float | None = None
-    threshold: float | None = None
-    dof: int = 0
-    alarm: bool = False
+    statistic: float | None
+    threshold: float | None
+    dof: int
+    alarm: bool
     isolated: bool = False  # excluded from the solution; outlasts the alarm
     reason: str = ""
     suspect: str = ""
@@ -101,6 +101,8 @@ def pattern_alarm(
     return SensorDecision(
         t_us=t_us,
         sensor=sensor,
+        statistic=None,
+        threshold=None,
         dof=dof,
         alarm=True,
         isolated=isolated,

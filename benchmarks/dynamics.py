@@ -25,8 +25,9 @@ from simvehicle.sensors.flow import OpticalFlow
 from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.vision import Vision
 from simvehicle.simulation.simulation import Simulation
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, WingInputs, state_derivative
-from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_coefficients, read_fixedwing
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_coefficients
 from simvehicle.vehicles.parameter_file import body_inertia
 from simvehicle.vehicles.rigidbody_kernel import Inertia, finish_step
 
@@ -83,7 +84,7 @@ def best(call: Callable[[], object]) -> float:
 
 def kernels() -> None:
     """Vehicle-steps per second of the Runge-Kutta kernel."""
-    parameters = read_fixedwing("aerosonde-2025")
+    parameters = FixedWing.read("aerosonde-2025").parameters
     body, aero = body_inertia(parameters, {}), aero_coefficients(parameters, {})
     x = np.zeros(13 * LANES)
     x[96:128], x[192:224] = 25.0, 1.0

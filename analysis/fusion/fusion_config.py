@@ -1,8 +1,10 @@
 """Parameters of the fusion."""
 
+from typing import Literal
+
 import msgspec
 
-ROBUST = ("none", "huber", "geman-mcclure", "gnc")
+from mavproxy_fault.documents.document_check import Positive
 
 
 class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -20,42 +22,28 @@ class FusionConfig(msgspec.Struct, frozen=True, kw_only=True):
     square root of a second.
     """
 
-    lag_s: float = 5.0
-    suspicious: float = 3.0
-    hopeless: float = 6.0
+    lag_s: Positive = 5.0
+    suspicious: Positive = 3.0
+    hopeless: Positive = 6.0
     feedback: bool = False
     compare: bool = False
     decide: bool = True
-    robust: str = "none"
-    correlation: float = 3.0
-    slow: float = 0.4
+    robust: Literal["none", "huber", "geman-mcclure", "gnc"] = "none"
+    correlation: Positive = 3.0
+    slow: Positive = 0.4
     learn: bool = True
-    baro_m: float = 1.0
-    baro_walk_m: float = 0.3
-    mag_gauss: float = 0.1
-    airspeed_mps: float = 1.0
-    wind_walk_mps: float = 0.3
-    vision_m: float = 0.2
-    vision_rad: float = 0.02
-    gps_mps: float = 0.4
+    baro_m: Positive = 1.0
+    baro_walk_m: Positive = 0.3
+    mag_gauss: Positive = 0.1
+    airspeed_mps: Positive = 1.0
+    wind_walk_mps: Positive = 0.3
+    vision_m: Positive = 0.2
+    vision_rad: Positive = 0.02
+    gps_mps: Positive = 0.4
 
     def __post_init__(self) -> None:
-        """Check the ranges of the values.
-
-        Raises
-        ------
-        ValueError
-            Naming the field, its value and what is allowed.
-        """
-        for name in self.__struct_fields__:
-            value = getattr(self, name)
-            # Written so that NaN is refused too.
-            if isinstance(value, float) and not value > 0.0:
-                raise ValueError(f"{name} = {value} is not positive; give a number above 0")
         if not self.suspicious < self.hopeless:
             raise ValueError(
                 f"hopeless = {self.hopeless} is not above suspicious = "
                 f"{self.suspicious}; give a larger number"
             )
-        if self.robust not in ROBUST:
-            raise ValueError(f"robust = {self.robust!r} is unknown; known: {', '.join(ROBUST)}")

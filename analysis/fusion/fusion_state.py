@@ -18,7 +18,7 @@ from analysis.fusion.learned_noise import LearnedNoise
 from analysis.fusion.local_frame import LocalFrame
 from analysis.results import Decision, FusedState, Result
 from analysis.samples.block import ATTITUDE, IMU, TRUTH, ImuRun, Indices
-from analysis.samples.sample import ImuSample, Sample, Vector
+from analysis.samples.sample import Sample, Vector
 
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 
@@ -88,7 +88,7 @@ class FusionState:
         if self.graph is not None and (run.t_us <= self.graph.node.t_us).any():
             late = run.t_us <= self.graph.node.t_us
             for t_us, row in zip(run.t_us[late].tolist(), run.values[late], strict=True):
-                self.graph.add_late_imu(ImuSample(t_us, row[:3], row[3:]))
+                self.graph.add_late_imu(t_us, row)
             run = ImuRun(run.t_us[~late], run.values[~late])
         if len(run.t_us):
             self.imu.append(run)

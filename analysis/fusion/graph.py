@@ -23,7 +23,8 @@ from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph_start import ClockState, GraphStart, Node, first_guess
 from analysis.fusion.imu_edge import Edge, add_late_samples, split_segment
 from analysis.fusion.window import FactorWindow, variable_key
-from analysis.samples.sample import ImuSample, Vector
+from analysis.samples.block import ImuRun
+from analysis.samples.sample import Vector
 
 SAME_GRAVITY_M = 100.0  # gravity rotates by 2e-5 rad over it
 SAME_EPOCH_US = 1000  # epochs closer than this are one: far below any epoch interval
@@ -70,7 +71,7 @@ class Graph:
         self._detector = detector
         self._track: list[tuple[int, int]] = []  # times and numbers of epochs, in order of time
         self._free: list[int] = []  # numbers of marginalised epochs, for reuse
-        self._late_imu: dict[int, list[ImuSample]] = {}
+        self._late_imu: dict[int, list[tuple[int, Vector]]] = {}
         self._robust = config.robust
         self._place_m = [0.0, 0.0, 0.0]
         self._noise: ProcessNoise | None = None  # of `_params`
@@ -103,13 +104,6 @@ class Graph:
         """The newest estimate of an epoch's pose."""
         return (self.node if epoch == self.node.epoch else self.estimate(epoch)).pose
 
-    def neighbours(self, epoch: int) -> tuple[int | None, int | None]:
-        """The epochs before and after one."""
-        at = bisect_left(self._track, (self.epochs[epoch].t_us, epoch))
-        before = self._track[at - 1][1] if at > 0 else None
-        after = self._track[at + 1][1] if at + 1 < len(self._track) else None
-        return before, after
-
     def vision_neighbours(self, epoch: int, within_us: int) -> tuple[int | None, int | None]:
         """The nearest epochs with a vision pose before and after one."""
         t_us = self.epochs[epoch].t_us
@@ -120,8 +114,8 @@ class Graph:
 
     def begins_span(self) -> bool:
         """Whether the newest epoch is the first of its span of the window."""
-        before, _ = self.neighbours(self.node.epoch)
-        return before is not None and self.span(before) != self.span(self.node.epoch)
+        newest = [self.span(epoch) for _, epoch in self._track[-2:]]
+        return len(newest) == 2 and newest[0] != newest[1]
 
     def span(self, epoch: int) -> int:
         """The span of the window that contains an epoch."""
@@ -178,11 +172,11 @@ class Graph:
         self._reconnect(j, edge._replace(before=node.epoch, part=second), node)
         return node
 
-    def add_late_imu(self, sample: ImuSample) -> None:
-        """Add a late IMU sample between two epochs of the window; the next commit uses it."""
-        at = bisect_left(self._track, (sample.t_us, -1))
+    def add_late_imu(self, t_us: int, rates_force: Vector) -> None:
+        """Add a late IMU sample (6,) between two epochs of the window; the next commit uses it."""
+        at = bisect_left(self._track, (t_us, -1))
         if 0 < at < len(self._track):
-            self._late_imu.setdefault(self._track[at][1], []).append(sample)
+            self._late_imu.setdefault(self._track[at][1], []).append((t_us, rates_force))
 
     def drop_imu_since(self, since_us: int) -> None:
         """Remove the IMU's factors from a time on."""
@@ -253,7 +247,8 @@ class Graph:
             edge = self._edge(epoch)
             if edge is not None and edge.trusted:
                 start_us, end_us = self.epochs[edge.before].t_us, self.epochs[epoch].t_us
-                part = add_late_samples(edge.part, start_us, end_us, late)
+                run = ImuRun(*map(np.array, zip(*late, strict=True)))
+                part = add_late_samples(edge.part, start_us, end_us, run)
                 self._reconnect(epoch, edge._replace(part=part))
         self._late_imu = {}
         # Before solving, since the smoother drops these variables in the update.

@@ -1,7 +1,5 @@
 """The constraint between two epochs: IMU samples, split or extended when data come late."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from analysis.detection.filter.filter_state import MotionEstimate
@@ -9,12 +7,11 @@ from analysis.detection.filter.process_noise import ProcessNoise
 from analysis.detection.filter.propagation import (
     RATE_SIGMA_RPS,
     ImuSegment,
-    imu_run_of,
     imu_segment,
 )
 from analysis.detection.values import Value
 from analysis.samples.block import ImuRun
-from analysis.samples.sample import ImuSample, Vector
+from analysis.samples.sample import Vector
 
 EMPTY: Vector = np.empty(0)
 
@@ -40,30 +37,29 @@ def segment_between(run: ImuRun, start_us: int, end_us: int) -> ImuSegment:
     return imu_segment(run, MotionEstimate(start_us, EMPTY, EMPTY), end_us)
 
 
-def imu_samples(part: ImuSegment, start_us: int) -> list[ImuSample]:
+def segment_run(part: ImuSegment, start_us: int) -> ImuRun:
     """The samples of a segment."""
     # Steps are seconds; the original stamps were whole microseconds.
     stamps = start_us + np.rint(np.cumsum(part.samples[:-1, 0]) * 1e6).astype(int)
-    return [
-        ImuSample(int(t_us), row[1:4], row[4:7])
-        for t_us, row in zip(stamps, part.samples[:-1], strict=True)
-    ]
+    return ImuRun(stamps, part.samples[:-1, 1:])
 
 
 def split_segment(
     part: ImuSegment, start_us: int, at_us: int, end_us: int
 ) -> tuple[ImuSegment, ImuSegment]:
     """The segments before and after a time in between."""
-    run = imu_samples(part, start_us)
-    first = imu_run_of(sample for sample in run if sample.t_us <= at_us)
-    second = imu_run_of(sample for sample in run if sample.t_us > at_us)
-    return segment_between(first, start_us, at_us), segment_between(second, at_us, end_us)
+    stamps, values = segment_run(part, start_us)
+    first = stamps <= at_us
+    return (
+        segment_between(ImuRun(stamps[first], values[first]), start_us, at_us),
+        segment_between(ImuRun(stamps[~first], values[~first]), at_us, end_us),
+    )
 
 
-def add_late_samples(
-    part: ImuSegment, start_us: int, end_us: int, late: Sequence[ImuSample]
-) -> ImuSegment:
+def add_late_samples(part: ImuSegment, start_us: int, end_us: int, late: ImuRun) -> ImuSegment:
     """The segment with samples that came late."""
-    # By stamp, as a late sample may have arrived before.
-    known = {sample.t_us: sample for sample in (*imu_samples(part, start_us), *late)}
-    return segment_between(imu_run_of(known[t_us] for t_us in sorted(known)), start_us, end_us)
+    known = segment_run(part, start_us)
+    # Each stamp once, as a late sample may have arrived before.
+    stamps, rows = np.unique(np.concatenate([late.t_us, known.t_us]), return_index=True)
+    run = ImuRun(stamps, np.concatenate([late.values, known.values])[rows])
+    return segment_between(run, start_us, end_us)

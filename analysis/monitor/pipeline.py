@@ -13,8 +13,7 @@ import numpy as np
 
 from analysis.detection import DetectorConfig
 from analysis.detection.actuators.actuator_detector import ActuatorDetector
-from analysis.detection.actuators.actuator_response import NEVER_US as NEVER_CRASHED_US
-from analysis.detection.actuators.alarm_precedence import apply_precedence
+from analysis.detection.actuators.alarm_precedence import FOREVER_US, apply_precedence
 from analysis.detection.actuators.effects import Effects, unknown_effects
 from analysis.detection.actuators.imu_hold_out import hold_out_until, trusted_rows, withdraw_silence
 from analysis.detection.actuators.tumble import TumbleState, track_tumble
@@ -164,7 +163,7 @@ class Pipeline:
         lost = track_tumble(block, self._tumble)
         actuators = self.states[ACTUATORS]
         if actuators is not None or lost.any():
-            crash_us = NEVER_CRASHED_US if actuators is None else actuators.crash_us
+            crash_us = FOREVER_US if actuators is None else actuators.crash_us
             results, self._imu_us = apply_precedence(results, crash_us, lost, self._imu_us)
         return results
 

@@ -6,7 +6,7 @@ from analysis.results import AttitudeError, Decision, FusedState, Result, Sensor
 from mavproxy_fault.links.bus import Bus
 
 SCHEMA = "mavfault.v1"
-EVENTS_KEPT = 100
+EVENTS_KEPT = 100  # for late subscribers, chosen
 
 
 def result_key(result: Result) -> str:
@@ -53,9 +53,6 @@ class Publisher:
                 key += "" if result.dof else "/stream"  # its samples have a verdict of their own
             case _:
                 return False
-        # Stored at once, so that each change is one event.
-        return self._verdicts.get(key) != verdict and self._store(key, verdict)
-
-    def _store(self, key: str, verdict: tuple[object, ...]) -> bool:
+        before = self._verdicts.get(key)
         self._verdicts[key] = verdict
-        return True
+        return before != verdict

@@ -1,12 +1,11 @@
 """Print the summary of a run to the terminal."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -31,87 +30,77 @@ def show_summary(args: argparse.Namespace, summary: dict[str, Any], folder: Path
 def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
     """Print the faults, the scores, the criteria that failed and where the files are."""
     console = open_console()
+
+    def show(name: str, text: str, style: str | None = None) -> None:
+        console.print(f"{name:<15} {text}", style=style, soft_wrap=True)
+
     if "outcome" in summary:
         found = msgspec.convert(summary["outcome"], VehicleOutcome)
-        console.print(f"vehicle         {describe_vehicle(found)}", soft_wrap=True)
+        show("vehicle", describe_vehicle(found))
     if summary["faults"]:
         console.print(_faults(summary["faults"]))
         for line in verdict_remarks(summary["faults"]):
-            console.print(f"                {line}", soft_wrap=True)
+            show("", line)
     for fault in summary.get("never_acted", ()):
-        console.print(f"never acted     fault {fault} matched no message", style="yellow")
+        show("never acted", f"fault {fault} matched no message", "yellow")
     for line in summary.get("edited", ()):
-        console.print(f"edited live     {line}", style="yellow", soft_wrap=True)
+        show("edited live", line, "yellow")
     attitude = summary["attitude_rmse_deg"]
     if attitude:
         axes = ", ".join(f"{axis} {attitude[axis]:.2f}" for axis in ("roll", "pitch", "yaw"))
-        console.print(f"attitude RMSE   {axes} degrees")
+        show("attitude RMSE", f"{axes} degrees")
     if summary["position_rmse_m"] is not None:
-        console.print(f"position RMSE   {summary['position_rmse_m']:.2f} m")
-    _print_errors(console, summary)
-    console.print(
-        f"epochs          {summary['epochs']}, untestable {summary['untestable_epochs']}, "
-        f"alarms {summary['alarms']}, false alarms {_known(summary['false_alarms'])}",
-        soft_wrap=True,
-    )
-    console.print(f"monitored       {', '.join(summary['watched']) or 'nothing'}", soft_wrap=True)
+        show("position RMSE", f"{summary['position_rmse_m']:.2f} m")
+    for name, text in _position_errors(summary):
+        show(name, text)
+    epochs = f"{summary['epochs']}, untestable {summary['untestable_epochs']}"
+    false = _known(summary["false_alarms"])
+    show("epochs", f"{epochs}, alarms {summary['alarms']}, false alarms {false}")
+    show("monitored", ", ".join(summary["watched"]) or "nothing")
     for kind, text in run_remarks(summary):
-        console.print(f"{kind:<15} {text}", soft_wrap=True)
+        show(kind, text)
     for row in summary["false_by_channel"] or ():
         isolated = ", ".join(row["blamed"]) or "none"
-        console.print(
-            f"false alarms    {row['channel']}: {row['outside']} outside faults, {row['inside']}"
-            f" inside, {row['per_hour']:g} per hour; isolated: {isolated}, {row['seconds']:.1f} s"
-        )
+        counts = f"{row['outside']} outside faults, {row['inside']} inside, {row['per_hour']:g}"
+        text = f"{row['channel']}: {counts} per hour; isolated: {isolated}, {row['seconds']:.1f} s"
+        show("false alarms", text)
     speed = summary["sim_s"] / summary["wall_s"] if summary["wall_s"] else 0.0
-    console.print(
-        f"time            {summary['sim_s']:.1f} s of flight in {summary['wall_s']:.1f} s"
-        f" (x{speed:.1f})"
-    )
+    took = f"{summary['sim_s']:.1f} s of flight in {summary['wall_s']:.1f} s"
+    show("time", f"{took} (x{speed:.1f})")
     judged = msgspec.convert(summary.get("requirements", []), list[RequirementResult])
     for one in judged:
         style = {True: "green", False: "red", None: "yellow"}[one.met]
-        console.print(f"requirement     {one.name}: {one.describe()}", style=style, soft_wrap=True)
+        show("requirement", f"{one.name}: {one.describe()}", style)
     names = {one.name for one in judged}
-    _print_criteria(console, [row for row in summary["criteria"] if row["name"] not in names])
+    for row in summary["criteria"]:
+        if not row["passed"] and row["name"] not in names:
+            # None: the data are insufficient.
+            word = "FAILED" if row["passed"] is False else "NO VERDICT"
+            show("criterion", f"{row['name']}: {row['value']} (limit {row['limit']}) {word}")
     for row in summary.get("effects", ()):
-        console.print(f"effect          {row['id']}: {_effect(row)}", soft_wrap=True)
+        show("effect", f"{row['id']}: {_effect(row)}")
     console.print("verdict        ", _coloured(summary["verdict"]))
     if folder is not None and (folder / "report.html").is_file():
-        console.print(f"report          {folder / 'report.html'}", soft_wrap=True)
+        show("report", str(folder / "report.html"))
 
 
-def _print_criteria(console: Console, checks: Sequence[Mapping[str, Any]]) -> None:
-    """Print the criteria that failed or could not be tested."""
-    for check in checks:
-        if not check["passed"]:
-            # None: the data are insufficient.
-            word = "FAILED" if check["passed"] is False else "NO VERDICT"
-            console.print(
-                f"criterion       {check['name']}: {check['value']}"
-                f" (limit {check['limit']}) {word}",
-                soft_wrap=True,
-            )
-
-
-def _print_errors(console: Console, summary: Mapping[str, Any]) -> None:
-    """Print errors against the truth, and protection levels."""
+def _position_errors(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Errors against the truth, and protection levels, as name and text."""
     for name, row in summary.get("position_error", {}).items():
-        console.print(
-            f"error of {name:<6} {row['horizontal_50_m']:.2f} m at 50 %, "
-            f"{row['horizontal_95_m']:.2f} m at 95 % horizontal; {row['vertical_50_m']:.2f} m, "
-            f"{row['vertical_95_m']:.2f} m vertical; error/sigma {row['over_sigma_50']}, "
-            f"{row['over_sigma_95']}",
-            soft_wrap=True,
+        yield (
+            f"error of {name:<6}",
+            f"{row['horizontal_50_m']:.2f} m at 50 %, {row['horizontal_95_m']:.2f} m at 95 % "
+            f"horizontal; {row['vertical_50_m']:.2f} m, {row['vertical_95_m']:.2f} m vertical; "
+            f"error/sigma {row['over_sigma_50']}, {row['over_sigma_95']}",
         )
     for name, row in summary.get("integrity", {}).items():
-        console.print(
-            f"protection      {name} level {row['median_level_m']:.1f} m (median); error above it"
-            f" in {row['misleading']} of {row['with_level']} epochs (largest ratio"
-            f" {row['largest_error_over_level']:.2f}); below the alert limit of"
-            f" {row['alert_limit_m']:.0f} m in {100 * row['available_share']:.1f} %, assuming"
-            f" {' or '.join(row['assumes'])}",
-            soft_wrap=True,
+        yield (
+            "protection",
+            f"{name} level {row['median_level_m']:.1f} m (median); error above it in "
+            f"{row['misleading']} of {row['with_level']} epochs (largest ratio "
+            f"{row['largest_error_over_level']:.2f}); below the alert limit of "
+            f"{row['alert_limit_m']:.0f} m in {100 * row['available_share']:.1f} %, assuming "
+            f"{' or '.join(row['assumes'])}",
         )
 
 

@@ -36,6 +36,7 @@ from simvehicle.vehicles.vehicle import SURROUNDINGS_SIZE, pack_surroundings
 
 STEPS, STEP_S = 30, 5e-3  # 0.15 s, six time constants of a slow motor
 HEIGHT_M = 100.0  # free of ground contact
+# Small against manoeuvres, large against rounding; chosen
 COMMAND_STEP, RATE_STEP_RPS, SPEED_STEP_MPS = 0.05, 0.05, 0.5
 HALVINGS = 12
 FORCE_X, FORCE_Y, FORCE_Z = range(ANGULAR, 6)  # after the angular accelerations

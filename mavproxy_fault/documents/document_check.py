@@ -19,11 +19,14 @@ T = TypeVar("T")
 
 NotFinite = Annotated[float, Meta(extra={"finite": False})]
 """A number that may be `.inf` or `.nan`, which any other number may not."""
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
 
 # Chosen: enough to work on; a file of another kind gives thousands.
 MOST_ERRORS = 30
 # Error texts of our structs begin with the field at fault: `segments[1].at_s = ...`.
 MENTIONED = re.compile(r"([A-Za-z_]\w*)((?:\.\w+|\[\d+\])*) ")
+OUT_OF_RANGE = re.compile(r"Expected `(float|int)( \| null)?` [<>]")  # an error of msgspec
 UNIONS = (typing.Union, types.UnionType)
 
 
@@ -178,6 +181,16 @@ def _may_be_infinite(kind: Any) -> bool:
     return any(isinstance(note, Meta) and note.extra == {"finite": False} for note in notes)
 
 
+def _range_text(kind: Any) -> str:
+    """Return in words the numbers that a type, or a member of a union, allows."""
+    if typing.get_origin(kind) in UNIONS:
+        return next(filter(None, map(_range_text, typing.get_args(kind))), "")
+    words = {"gt": "above {:g}", "ge": "{:g} or more", "lt": "below {:g}", "le": "at most {:g}"}
+    notes = [note for note in getattr(kind, "__metadata__", ()) if isinstance(note, Meta)]
+    limits = [(text, getattr(note, name)) for note in notes for name, text in words.items()]
+    return ", ".join(text.format(limit) for text, limit in limits if limit is not None)
+
+
 def _misfit(data: Any, kind: Any, error: str) -> str:
     """Return why a value does not fit, and which values do."""
     words = [word for choice in _choices(kind) if typing.get_origin(choice) is Literal
@@ -185,6 +198,8 @@ def _misfit(data: Any, kind: Any, error: str) -> str:
     # For a fixed set of values, suggest the likely one.
     if words and isinstance(data, str):
         return f"is unknown; {suggest_known(data, words)}"
+    if OUT_OF_RANGE.match(error):
+        return f"is out of range; {_range_text(kind)} is allowed"
     # msgspec appends the path, which is already in the error.
     text = error.split(" - at `$")[0]
     return f"does not fit: {text[0].lower()}{text[1:]}"

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta
 
-from mavproxy_fault.documents.document_check import NotFinite
+from mavproxy_fault.documents.document_check import NotFinite, NotNegative, Positive
 from mavproxy_fault.fault_parts.fault import Generator
 from mavproxy_fault.fault_parts.memory import ARENA, NO_MEMORY, Memory
 from mavproxy_fault.fault_parts.series import Series, SeriesTable
@@ -23,8 +23,6 @@ SEGMENTS, SINE, IMPULSES, LIVE = 0.0, 1.0, 2.0, 3.0  # kinds, as numbers of a ru
 PIECE = 4  # numbers of a segment in memory
 OVERLAP_TOLERANCE_S = 1e-6  # one microsecond, the resolution of timestamps
 CLOSE_S = 1e-7  # rounding of sums of time steps; below the resolution of timestamps
-Positive = Annotated[float, Meta(gt=0)]
-NotNegative = Annotated[float, Meta(ge=0)]
 LONGEST_S = 1e9  # thirty years: sums in microseconds still fit 64 bits
 Seconds = Annotated[float, Meta(ge=0, le=LONGEST_S)]
 Duration = Annotated[float, Meta(gt=0, le=LONGEST_S)]

@@ -3,7 +3,8 @@
 import math
 from typing import Any, ClassVar
 
-from mavproxy_fault.fault_parts.profile import Duration, NotNegative
+from mavproxy_fault.documents.document_check import NotNegative
+from mavproxy_fault.fault_parts.profile import Duration
 from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
 from mavproxy_fault.fault_parts.value_fault import GYRO
 

@@ -3,7 +3,7 @@
 import math
 from typing import Any, ClassVar, Literal
 
-from mavproxy_fault.fault_parts.profile import NotNegative
+from mavproxy_fault.documents.document_check import NotNegative
 from mavproxy_fault.fault_parts.rules import Drawn, Numbers, RuleFault, value_rule
 from mavproxy_fault.fault_parts.value_fault import GYRO, broadcast_values
 

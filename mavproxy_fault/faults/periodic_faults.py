@@ -3,12 +3,12 @@
 import math
 from typing import Any, ClassVar
 
+from mavproxy_fault.documents.document_check import Positive
 from mavproxy_fault.fault_parts.profile import (
     CLOSE_S,
     MODES,
     Duration,
     Mode,
-    Positive,
     time_since_period,
 )
 from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule

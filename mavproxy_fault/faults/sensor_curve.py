@@ -3,7 +3,7 @@
 import math
 from typing import Any, ClassVar
 
-from mavproxy_fault.fault_parts.profile import NotNegative, Positive
+from mavproxy_fault.documents.document_check import NotNegative, Positive
 from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
 from mavproxy_fault.fault_parts.value_fault import GYRO
 

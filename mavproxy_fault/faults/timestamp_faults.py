@@ -6,10 +6,10 @@ They change every field with the sender's time, in any unit: `time_usec`, `usec`
 
 from typing import Any, ClassVar, Literal
 
+from mavproxy_fault.documents.document_check import Positive
 from mavproxy_fault.fault_parts.draft import Draft
 from mavproxy_fault.fault_parts.elements import locate_element
 from mavproxy_fault.fault_parts.fault import Generator, LinkFault, Outgoing
-from mavproxy_fault.fault_parts.profile import Positive
 from mavproxy_fault.fault_parts.rules import Numbers, value_rule
 from mavproxy_fault.wire.dialect import Layout
 from mavproxy_fault.wire.frame import Frame

@@ -10,9 +10,10 @@ References
 """
 
 import math
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import msgspec
+from msgspec import Meta
 
 from mavproxy_fault.fault_parts.fault import ActsOn, Generator, Outgoing
 from mavproxy_fault.wire.dialect import message_layout
@@ -63,10 +64,12 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
     commands_vehicle: ClassVar[bool] = True
 
     do: VehicleAction | None = None
-    height_m: float = 10.0  # of a take-off, above the field
+    height_m: Annotated[float, Meta(gt=0, lt=1e4)] = 10.0  # of a take-off, above the field
     number: int | None = None
-    params: Parameters = ()
-    afterwards: Parameters | None = None  # params of `number` sent when the entry ends
+    params: Annotated[Parameters, Meta(max_length=7)] = ()
+    afterwards: Annotated[Parameters, Meta(max_length=7)] | None = (
+        None  # params of `number` sent when the entry ends
+    )
 
     def __post_init__(self) -> None:
         if (self.do is None) == (self.number is None):
@@ -75,10 +78,6 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError("params and afterwards need number; give it instead of do")
         if max(len(self.params), len(self.afterwards or ())) > 7:
             raise ValueError("a command has at most seven params")
-        if not 0.0 < self.height_m < 1e4:
-            raise ValueError(
-                f"height_m = {self.height_m:g} is out of range; give 0 to 10000, exclusive"
-            )
 
     def new_state(self, start_us: int) -> CommandState:
         """Return the state before the first command."""

@@ -71,10 +71,8 @@ def main(args: argparse.Namespace) -> int:
         )
         gcs = JoinedLinks([link for link in stations if link]) if stations else None
         try:
-            if real_time and hil is not None:
-                return _run_real_time(simulation, hil, progress)
             if served and hil is not None:
-                return _run_lockstep(simulation, hil, speed, progress)
+                return _serve(simulation, hil, progress, None if real_time else speed)
             loop = FreeLoop(simulation, hil, gcs, speed, progress)
             # With a ground station the flight runs until it is interrupted.
             loop.run(None if gcs else round(scenario.duration_s * 1e6))
@@ -125,17 +123,14 @@ def check_sensors(scenario: Scenario) -> None:
                 )
 
 
-def _run_lockstep(simulation: Simulation, link: Link, speed: float, progress: Progress) -> int:
+def _serve(simulation: Simulation, link: Link, progress: Progress, speed: float | None) -> int:
+    """Fly under the autopilot on a link: in lockstep at a speed, or in real time with None."""
     mav_type, mix = mav_type_and_mix(simulation)
-    packer = HilPacker(simulation.board, mav_type=mav_type)
-    loop = LockstepLoop(simulation, packer, Inbox(link), mix, speed, progress)
-    return serve_autopilot(loop, progress, None)
-
-
-def _run_real_time(simulation: Simulation, link: Link, progress: Progress) -> int:
-    mav_type, mix = mav_type_and_mix(simulation)
-    packer = HilPacker(simulation.board, mav_type=mav_type)
-    loop = RealTimeLoop(simulation, packer, Inbox(link), mix, progress)
+    packer, inbox = HilPacker(simulation.board, mav_type=mav_type), Inbox(link)
+    if speed is not None:
+        lockstep = LockstepLoop(simulation, packer, inbox, mix, speed, progress)
+        return serve_autopilot(lockstep, progress, None)
+    loop = RealTimeLoop(simulation, packer, inbox, mix, progress)
     try:
         return serve_autopilot(loop, progress, None)
     finally:

@@ -89,7 +89,9 @@ class AutopilotLink:
             stamp_us=t_us + self._start_us,
             truth=truth,
             gps=self._gps,
-            battery=self._battery,
+            # Without a battery monitor, the battery's true state.
+            battery=self._battery
+            or BatteryReading(t_us, truth.battery_v, truth.battery_a, truth.battery_remaining),
             consumed_mah=self._consumed_mah,
             home=self._flight.home,
             mode=self._flight.mode,

@@ -13,6 +13,7 @@ from mavproxy_fault.wire.frame import Frame as WireFrame
 from simvehicle.autopilot import telemetry
 from simvehicle.autopilot.enums import BaseMode, Command, CommandResult, CoordinateFrame, FlightMode
 from simvehicle.autopilot.flight_goals import CommandedFlight
+from simvehicle.autopilot.mission_service import RELATIVE_FRAMES
 from simvehicle.autopilot.parameter_service import Parameters
 from simvehicle.autopilot.streams import Streams
 from simvehicle.autopilot.telemetry import Snapshot, available_modes
@@ -191,10 +192,7 @@ class Commands:
         return any([self._fail_motor(number, kind == FAILURE_OFF) for number in chosen])
 
     def _amsl(self, request: CommandRequest) -> float:
-        relative = request.frame in (
-            CoordinateFrame.GLOBAL_RELATIVE,
-            CoordinateFrame.GLOBAL_RELATIVE_INT,
-        )
+        relative = request.frame in RELATIVE_FRAMES
         return request.z_m + (self._flight.home.alt_m if relative else 0.0)
 
 

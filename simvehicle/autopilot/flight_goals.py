@@ -24,8 +24,8 @@ from simvehicle.autopilot.telemetry import HomePosition
 from simvehicle.hil.hil_messages import Message, make_message, statustext
 from simvehicle.vehicles.body import Truth
 
-HEIGHT_TOLERANCE_M = 1.0
-SLOWEST_COMMAND_MPS = 0.5
+HEIGHT_TOLERANCE_M = 1.0  # within which a height is reached; about PX4's NAV_MC_ALT_RAD
+SLOWEST_COMMAND_MPS = 0.5  # chosen
 
 LocateNed = Callable[[float, float, float], Array]  # latitude, longitude in degrees, m MSL -> NED
 

@@ -59,7 +59,7 @@ class Snapshot:
     stamp_us: int
     truth: Truth
     gps: GpsReading | None
-    battery: BatteryReading | None
+    battery: BatteryReading
     consumed_mah: float
     home: HomePosition
     mode: FlightMode
@@ -103,11 +103,9 @@ def sys_status(snapshot: Snapshot) -> Message:
         onboard_control_sensors_present=PRESENT_SENSORS,
         onboard_control_sensors_enabled=PRESENT_SENSORS,
         onboard_control_sensors_health=PRESENT_SENSORS,
-        voltage_battery=round((battery.voltage_v if battery else snapshot.truth.battery_v) * 1e3),
-        current_battery=round((battery.current_a if battery else snapshot.truth.battery_a) * 100),
-        battery_remaining=round(
-            (battery.remaining if battery else snapshot.truth.battery_remaining) * 100
-        ),
+        voltage_battery=round(battery.voltage_v * 1e3),
+        current_battery=round(battery.current_a * 100),
+        battery_remaining=round(battery.remaining * 100),
     )
 
 
@@ -235,11 +233,7 @@ def extended_sys_state(snapshot: Snapshot) -> Message:
 
 def battery_status(snapshot: Snapshot) -> Message:
     """The battery pack as one cell."""
-    truth = snapshot.truth
-    reading = snapshot.battery or BatteryReading(
-        truth.t_us, truth.battery_v, truth.battery_a, truth.battery_remaining
-    )
-    return hil_messages.battery_status(reading, snapshot.consumed_mah)
+    return hil_messages.battery_status(snapshot.battery, snapshot.consumed_mah)
 
 
 def system_time(snapshot: Snapshot) -> Message:

@@ -8,6 +8,7 @@ import math
 
 import msgspec
 
+from mavproxy_fault.documents.document_check import NotNegative, Positive
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
@@ -53,16 +54,8 @@ def pressure_altitude(pressure_pa: float) -> float:
 class Gusts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Dryden turbulence along the body axes: standard deviations and length scales."""
 
-    sigma_mps: tuple[float, float, float]
-    length_m: tuple[float, float, float]
-
-    def __post_init__(self) -> None:
-        if min(self.sigma_mps) < 0.0:
-            raise ValueError(
-                f"sigma_mps = {list(self.sigma_mps)} is negative; 0 or more is allowed"
-            )
-        if min(self.length_m) <= 0.0:
-            raise ValueError(f"length_m = {list(self.length_m)} is not positive; use metres > 0")
+    sigma_mps: tuple[NotNegative, NotNegative, NotNegative]
+    length_m: tuple[Positive, Positive, Positive]
 
 
 # Start of the second-order filters in `filters`

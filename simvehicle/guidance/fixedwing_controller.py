@@ -19,11 +19,11 @@ from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing.trim import TrimPoint
 
-_PITCH_LIMIT = math.radians(20.0)
+_PITCH_LIMIT = math.radians(20.0)  # chosen
 _HEIGHT_GAIN = 0.25  # 1/s, height error to climb rate
 _CLIMB_LIMIT = 0.12  # climb rate over airspeed
 _WINGS_LEVEL_M, _FULL_BANK_M = 3.0, 18.0  # heights of level wings and of full bank
-_SINK_MPS, _FLARE_MPS, _FLARE_M = 1.5, 0.5, 6.0
+_SINK_MPS, _FLARE_MPS, _FLARE_M = 1.5, 0.5, 6.0  # of a landing, and where it flares; chosen
 
 
 @dataclass(slots=True)

@@ -23,16 +23,17 @@ _TRACK_GAIN = 1.0  # 1/s, cross-track error to closing speed
 _SPEED_GAIN = 2.5  # 1/s, velocity error to acceleration
 _INTEGRAL_GAIN = 0.8  # 1/s^2
 _HEIGHT_GAIN = 1.2  # 1/s
+# Speeds as in PX4: MPC_Z_VEL_MAX_UP, somewhat faster than MPC_Z_VEL_MAX_DN, MPC_LAND_SPEED
 _CLIMB_MPS, _SINK_MPS = 3.0, 2.0
 _LANDING_MPS = 0.7
 # Horizontal acceleration limit, 35 degrees of tilt
 _HORIZONTAL_ACCEL_MPS2 = 0.7 * STANDARD_GRAVITY_MPS2
-_YAW_RATE_RPS = 1.0
+_YAW_RATE_RPS = 1.0  # chosen: yaw takes little of the motors' range
 _ATTITUDE_GAIN = 8.0  # 1/s
 _RATE_GAIN = 22.0  # 1/s
 _CLIMB_FIRST_M = 2.0  # height range over which horizontal speed increases after take-off
 _LANDING_RADIUS_M = 1.0  # horizontal distance within which it descends to land
-_TURN_LEAD_S = 0.15
+_TURN_LEAD_S = 0.15  # chosen: about the lag of the attitude
 
 
 @inlined

@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles, rotate_to_body
 from mavproxy_fault.wire.dialect import Layout, message_layout
 from simvehicle.sensors.readings import (
@@ -141,8 +143,8 @@ def odometry_message(reading: VisionReading, t_us: int) -> Message:
         "rollspeed": math.nan,
         "pitchspeed": math.nan,
         "yawspeed": math.nan,
-        "pose_covariance": _covariance_triangle(reading.sigma_r_m**2, math.nan),
-        "velocity_covariance": _covariance_triangle(reading.sigma_v_mps**2, math.nan),
+        "pose_covariance": _covariance_triangle(reading.sigma_r_m**2),
+        "velocity_covariance": _covariance_triangle(reading.sigma_v_mps**2),
         "estimator_type": VISION,
         "quality": 100,
     }
@@ -160,7 +162,7 @@ def vision_position_estimate(reading: VisionReading, t_us: int) -> Message:
         "roll": roll,
         "pitch": pitch,
         "yaw": yaw,
-        "covariance": _covariance_triangle(reading.sigma_r_m**2, math.nan),
+        "covariance": _covariance_triangle(reading.sigma_r_m**2),
     }
 
 
@@ -184,13 +186,10 @@ def battery_status(reading: BatteryReading, consumed_mah: float) -> Message:
 
 
 @lru_cache(maxsize=8)
-def _covariance_triangle(first: float, second: float) -> tuple[float, ...]:
-    """Upper triangle of diag(first, first, first, second, second, second)."""
-    return tuple(
-        (first if row < 3 else second) if row == column else 0.0
-        for row in range(6)
-        for column in range(row, 6)
-    )
+def _covariance_triangle(variance: float) -> tuple[float, ...]:
+    """Upper triangle of a 6x6 covariance: three equal variances, then three unknown ones (NaN)."""
+    matrix = np.diag([variance] * 3 + [math.nan] * 3)
+    return tuple(matrix[np.triu_indices(6)].tolist())
 
 
 # Readings with their own message

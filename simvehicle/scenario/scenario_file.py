@@ -7,11 +7,17 @@ in m, speeds in m/s, angles in degrees; each key ends in its unit.
 from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
+from msgspec import Meta
 
-from mavproxy_fault.documents.document_check import DocumentCheck, decode
+from mavproxy_fault.documents.document_check import (
+    DocumentCheck,
+    NotNegative,
+    Positive,
+    decode,
+)
 from mavproxy_fault.documents.document_kind import refuse_other_kinds
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import Document, read_document
@@ -56,23 +62,17 @@ class StartConfig(_Section, frozen=True):
     otherwise it starts in trimmed flight, or with `state`.
     """
 
-    lat_deg: float = 47.397742
-    lon_deg: float = 8.545594
+    lat_deg: Annotated[float, Meta(ge=-90, le=90)] = 47.397742
+    lon_deg: Annotated[float, Meta(ge=-180, le=180)] = 8.545594
     alt_m: float = 488.0
     geoid_m: float = 0.0
-    height_m: float = 0.0
+    height_m: NotNegative = 0.0
     heading_deg: float = 0.0
     state: StartState | None = None
     # Fixed, as the magnetic field depends on it.
     time: datetime = datetime(2024, 3, 7, 12, 0, tzinfo=UTC)
 
     def __post_init__(self) -> None:
-        if not -90.0 <= self.lat_deg <= 90.0:
-            raise ValueError(f"lat_deg = {self.lat_deg} is out of range; -90 to 90 is allowed")
-        if not -180.0 <= self.lon_deg <= 180.0:
-            raise ValueError(f"lon_deg = {self.lon_deg} is out of range; -180 to 180 is allowed")
-        if self.height_m < 0.0:
-            raise ValueError(f"height_m = {self.height_m} is below ground; 0 or more is allowed")
         # On the ground the vehicle starts at rest.
         if self.state is not None and self.height_m == 0.0:
             raise ValueError("state needs a start in the air; set height_m above 0")
@@ -91,17 +91,10 @@ class Leg(_Section, frozen=True):
     """One shape of the mission; it starts where the previous one ended, with the same heading."""
 
     shape: Shape
-    size_m: float = 600.0
-    height_m: float = 100.0
-    speed_mps: float | None = None  # None: the vehicle's cruise speed
-    laps: int = 1
-
-    def __post_init__(self) -> None:
-        for name in ("size_m", "height_m", "laps"):
-            if getattr(self, name) <= 0:
-                raise ValueError(f"{name} = {getattr(self, name)} is not positive; use > 0")
-        if self.speed_mps is not None and self.speed_mps <= 0.0:
-            raise ValueError(f"speed_mps = {self.speed_mps} is not positive; use > 0")
+    size_m: Positive = 600.0
+    height_m: Positive = 100.0
+    speed_mps: Positive | None = None  # None: the vehicle's cruise speed
+    laps: Annotated[int, Meta(ge=1)] = 1
 
 
 class WeaveChoice(_Section, frozen=True):
@@ -109,13 +102,9 @@ class WeaveChoice(_Section, frozen=True):
     airspeed; a quadrotor keeps its height."""
 
     roll_deg: float
-    period_s: float
+    period_s: Positive
     pitch_deg: float
     airspeed_mps: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.period_s <= 0.0:
-            raise ValueError(f"period_s = {self.period_s} is not positive; use seconds > 0")
 
 
 class OpenLoopControls(_Section, frozen=True):
@@ -132,12 +121,8 @@ class OpenLoopControls(_Section, frozen=True):
 class ShearChoice(_Section, frozen=True):
     """Wind shear as a power law over height; `wind_ned_mps` is the wind at `reference_m`."""
 
-    reference_m: float = 10.0  # height of weather station wind
+    reference_m: Positive = 10.0  # height of weather station wind
     exponent: float = 1.0 / 7.0  # the one-seventh power law of neutral air over open land
-
-    def __post_init__(self) -> None:
-        if self.reference_m <= 0.0:
-            raise ValueError(f"reference_m = {self.reference_m} is not positive; use metres > 0")
 
 
 class Environment(_Section, frozen=True):
@@ -172,8 +157,8 @@ class Scenario(_Section, frozen=True):
     """A complete scenario file."""
 
     name: str = "scenario"
-    seed: int = 1
-    duration_s: float = 120.0
+    seed: Annotated[int, Meta(ge=0)] = 1
+    duration_s: Positive = 120.0
     start: StartConfig = StartConfig()
     vehicle: VehicleChoice = VehicleChoice()
     mission: list[Leg] = []  # msgspec makes a new list for each scenario
@@ -187,10 +172,6 @@ class Scenario(_Section, frozen=True):
     requirements: Any = None
 
     def __post_init__(self) -> None:
-        if self.duration_s <= 0.0:
-            raise ValueError(f"duration_s = {self.duration_s} is not positive; use seconds > 0")
-        if self.seed < 0:
-            raise ValueError(f"seed = {self.seed} is negative; 0 or more is allowed")
         if self.controls is not None:
             self._check_controls(self.controls)
 

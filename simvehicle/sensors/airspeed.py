@@ -6,6 +6,7 @@ from mavproxy_fault.numerics.compile import inlined
 from simvehicle.environment.geolocation import AIR, AIR_VELOCITY
 from simvehicle.sensors.compiled_sensor import PITOT, CompiledSensor
 from simvehicle.sensors.error_model import NoiseModel
+from simvehicle.sensors.sensor import Rate
 
 
 class Airspeed(CompiledSensor, frozen=True, kw_only=True):
@@ -14,7 +15,7 @@ class Airspeed(CompiledSensor, frozen=True, kw_only=True):
     channels: ClassVar = {"noise": 1}
     kind: ClassVar = PITOT
 
-    rate_hz: float = 50.0
+    rate_hz: Rate = 50.0
     noise: NoiseModel = NoiseModel()
 
     def describe(self, record: Any) -> None:

@@ -7,6 +7,7 @@ from simvehicle.environment.air import SEA_LEVEL_K, pressure_altitude
 from simvehicle.environment.geolocation import AIR
 from simvehicle.sensors.compiled_sensor import BARO, CompiledSensor
 from simvehicle.sensors.error_model import NoiseModel
+from simvehicle.sensors.sensor import Rate
 
 CELSIUS_ZERO_K = 273.15
 
@@ -20,7 +21,7 @@ class Barometer(CompiledSensor, frozen=True, kw_only=True):
     channels: ClassVar = {"noise": 1}
     kind: ClassVar = BARO
 
-    rate_hz: float = 50.0
+    rate_hz: Rate = 50.0
     noise: NoiseModel = NoiseModel()
     drift_pa_per_k: float = 0.0
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import BatteryReading
-from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.sensors.sensor import Rate, SensorParameters
 from simvehicle.vehicles.body import Truth
 
 
@@ -15,7 +15,7 @@ class BatteryMonitor(SensorParameters, frozen=True, kw_only=True):
 
     channels: ClassVar = {"voltage": 1, "current": 1}
 
-    rate_hz: float = 2.0
+    rate_hz: Rate = 2.0
     voltage: NoiseModel = NoiseModel()
     current: NoiseModel = NoiseModel()
 

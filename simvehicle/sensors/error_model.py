@@ -11,6 +11,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from mavproxy_fault.documents.document_check import NotNegative, Positive
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled
 
@@ -66,23 +67,14 @@ class NoiseModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         Scale factor error, relative.
     """
 
-    sigma: float = 0.0
-    density: float = 0.0
+    sigma: NotNegative = 0.0
+    density: NotNegative = 0.0
     bias: float | list[float] = 0.0
-    bias_sigma: float = 0.0
-    drift_sigma: float = 0.0
-    drift_time_s: float = 100.0
-    walk: float = 0.0
+    bias_sigma: NotNegative = 0.0
+    drift_sigma: NotNegative = 0.0
+    drift_time_s: Positive = 100.0
+    walk: NotNegative = 0.0
     scale: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("sigma", "density", "bias_sigma", "drift_sigma", "walk"):
-            if getattr(self, name) < 0.0:
-                raise ValueError(
-                    f"{name} = {getattr(self, name)} is negative; 0 or more is allowed"
-                )
-        if self.drift_time_s <= 0.0:
-            raise ValueError(f"drift_time_s = {self.drift_time_s} is not positive; use seconds > 0")
 
     def new_state(self, rng: np.random.Generator, channels: int, rate_hz: float) -> NoiseState:
         """Draw the constant errors and the first block."""

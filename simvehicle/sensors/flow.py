@@ -13,7 +13,7 @@ from mavproxy_fault.numerics.rotations.one_rotation import rotate_to_body
 from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.rangefinder import check_range_limits, slant_range
 from simvehicle.sensors.readings import FlowReading
-from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.sensors.sensor import Rate, SensorParameters
 from simvehicle.vehicles.body import Truth
 
 
@@ -22,7 +22,7 @@ class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
 
     channels: ClassVar = {"flow": 2, "gyro": 3}
 
-    rate_hz: float = 20.0
+    rate_hz: Rate = 20.0
     flow: NoiseModel = NoiseModel()
     gyro: NoiseModel = NoiseModel()
     min_m: float = 0.1

@@ -12,7 +12,7 @@ import numpy as np
 from mavproxy_fault.numerics.earth import curvature_radii
 from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import GpsReading
-from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.sensors.sensor import Rate, SensorParameters
 from simvehicle.vehicles.body import Truth
 
 
@@ -35,7 +35,7 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
 
     channels: ClassVar = {"horizontal": 2, "vertical": 1, "velocity": 3}
 
-    rate_hz: float = 5.0
+    rate_hz: Rate = 5.0
     horizontal: GpsError = GpsError(kick_m=0.0)
     vertical: GpsError = GpsError(kick_m=0.0)
     velocity: NoiseModel = NoiseModel()

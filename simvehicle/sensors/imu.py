@@ -5,6 +5,7 @@ from typing import Any, ClassVar
 from mavproxy_fault.numerics.compile import inlined
 from simvehicle.sensors.compiled_sensor import IMU, CompiledSensor
 from simvehicle.sensors.error_model import NoiseModel
+from simvehicle.sensors.sensor import Rate
 from simvehicle.vehicles.rigidbody_kernel import P
 from simvehicle.vehicles.vehicle import FORCE
 
@@ -17,7 +18,7 @@ class ImuSensor(CompiledSensor, frozen=True, kw_only=True):
     channels: ClassVar = {"gyro": 3, "accel": 3}
     kind: ClassVar = IMU
 
-    rate_hz: float = 250.0
+    rate_hz: Rate = 250.0
     gyro: NoiseModel = NoiseModel()
     accel: NoiseModel = NoiseModel()
     gyro_range_rps: float = 35.0  # 2000 deg/s and 16 g, the usual MEMS IMU settings of autopilots

@@ -10,6 +10,7 @@ from simvehicle.environment.geolocation import ATTITUDE
 from simvehicle.sensors.compiled_sensor import MAG, CompiledSensor
 from simvehicle.sensors.error_model import NoiseModel
 from simvehicle.sensors.imu import apply_triad_errors
+from simvehicle.sensors.sensor import Rate
 
 _to_body = inlined(rotate_to_body)
 
@@ -24,7 +25,7 @@ class Magnetometer(CompiledSensor, frozen=True, kw_only=True):
     channels: ClassVar = {"noise": 3}
     kind: ClassVar = MAG
 
-    rate_hz: float = 50.0
+    rate_hz: Rate = 50.0
     noise: NoiseModel = NoiseModel()
     field_ned_gauss: tuple[float, float, float] | None = None
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import RangeReading
-from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.sensors.sensor import Rate, SensorParameters
 from simvehicle.vehicles.body import Truth
 
 
@@ -29,7 +29,7 @@ class Rangefinder(SensorParameters, frozen=True, kw_only=True):
 
     channels: ClassVar = {"noise": 1}
 
-    rate_hz: float = 20.0
+    rate_hz: Rate = 20.0
     noise: NoiseModel = NoiseModel()
     min_m: float = 0.1
     max_m: float = 40.0

@@ -1,14 +1,18 @@
 """The interface and the common parameters of all sensors."""
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar, Protocol
 
 import msgspec
 import numpy as np
+from msgspec import Meta
 
+from mavproxy_fault.documents.document_check import NotNegative
 from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.body import Truth
+
+Rate = Annotated[float, Meta(gt=0, le=2000)]
 
 
 class Sensor(Protocol):
@@ -40,18 +44,11 @@ class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
     channels: ClassVar[Mapping[str, int]] = {}
 
-    rate_hz: float
-    latency_s: float = 0.0
-    id: int = 0
+    rate_hz: Rate
+    latency_s: NotNegative = 0.0
+    id: Annotated[int, Meta(ge=0, le=255)] = 0  # one byte on the wire
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.rate_hz <= 2000.0:
-            raise ValueError(f"rate_hz = {self.rate_hz} is out of range; above 0, at most 2000")
-        if self.latency_s < 0.0:
-            raise ValueError(f"latency_s = {self.latency_s} is negative; 0 or more is allowed")
-        # An id is one byte on the wire.
-        if not 0 <= self.id <= 255:
-            raise ValueError(f"id = {self.id} is out of range; 0 to 255 is allowed")
         for name, count in self.channels.items():
             bias = self.noise_model(name).bias
             if isinstance(bias, list) and len(bias) != count:

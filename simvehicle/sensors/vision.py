@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from mavproxy_fault.numerics.rotations.one_rotation import rotate_quaternion
 from simvehicle.sensors.error_model import NoiseModel, NoiseState
 from simvehicle.sensors.readings import Triple, VisionReading
-from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.sensors.sensor import Rate, SensorParameters
 from simvehicle.vehicles.body import Truth
 
 
@@ -21,7 +21,7 @@ class Vision(SensorParameters, frozen=True, kw_only=True):
 
     channels: ClassVar = {"position": 3, "velocity": 3, "attitude": 3}
 
-    rate_hz: float = 30.0
+    rate_hz: Rate = 30.0
     position: NoiseModel = NoiseModel()
     velocity: NoiseModel = NoiseModel()
     attitude: NoiseModel = NoiseModel()

@@ -228,7 +228,8 @@ class Simulation:
                 raise ConfigError(f"plant: {name} = {value} is impossible; {error}") from None
             self._plant = changed
         else:
-            self._satellite_plant(name, value)
+            fitted, state = self._with_satellite_plant(name, value)
+            fitted.state = state
 
     def check_plant(self, name: str) -> None:
         """Refuse a plant fault that this simulation does not support; changes nothing.
@@ -248,10 +249,6 @@ class Simulation:
             if fitted.sensor.kind == PITOT:
                 return float(fitted.state[0].bias[0] + fitted.state[0].drift[0])
         return None
-
-    def _satellite_plant(self, name: str, value: float | None) -> None:
-        fitted, state = self._with_satellite_plant(name, value)
-        fitted.state = state
 
     def _with_satellite_plant(self, name: str, value: float | None) -> tuple[OnboardSensor, Any]:
         """The GNSS sensor, and its state with one plant fault set."""

@@ -20,6 +20,8 @@ class CompiledVehicle(Generic[Parameters]):
     Attributes
     ----------
     parameters : VehicleParameters
+    plant : dict
+        The plant faults.
     body : Inertia
     packed : array
         All parameters of `integrate_flight`; a kind sets them.
@@ -33,7 +35,7 @@ class CompiledVehicle(Generic[Parameters]):
     further_states: int
 
     def __init__(self, parameters: Parameters, plant: Mapping[str, float] = {}) -> None:
-        self.parameters = parameters
+        self.parameters, self.plant = parameters, dict(plant)
         self.body: Inertia = body_inertia(parameters, plant)
         # Height of the centre of mass when standing on the ground.
         self.standing_height_m = max(point[2] for point in parameters.gear_m)

@@ -22,6 +22,7 @@ from analysis.detection.actuators.actuator_hypotheses import (
     ActuatorHypothesis,
     find_hypothesis,
 )
+from analysis.detection.actuators.alarm_precedence import FOREVER_US, IMPACT_MPS2
 from analysis.detection.actuators.effects import COMMANDS, FORCE, OUTPUT, RATE, Effects
 from analysis.detection.actuators.motion_bins import AIR_LASTS_US, MotionBins
 from analysis.detection.actuators.motion_filter import MotionModel
@@ -55,6 +56,7 @@ SINGLE_BINS, PAIR_BINS = 3, 12
 # A smaller deficit may be a gust; no gust lasts 0.8 s (benchmarks/actuator_watch.py).
 SLIGHT_DEFICIT, SLIGHT_BINS = 0.15, 8
 REPEAT_ISOLATED_BINS, REPEAT_NOMINAL_BINS = 5, 10  # bins between two results
+# chosen: above the errors of a receiver's height and speed; below REST_SPEED_MPS it stands
 FLYING_HEIGHT_M, FLYING_SPEED_MPS, REST_SPEED_MPS = 3.0, 3.0, 0.5
 BY_FIRST_FIX = -1.0  # the first fix decides
 ALT, VELOCITY = 2, slice(3, 6)  # columns of a fix
@@ -64,9 +66,6 @@ GAP_US = 500_000  # without an IMU sample the motion begins anew
 LATE_US, IRREGULAR_BINS, LAG_SHARE = 60_000, 10, 0.02
 SPARSE_COMMAND_US = 60_000  # longer intervals hide what motors (lag 40 ms) do in between
 MOST_COMMAND = 100.0  # no output exceeds 1; larger values come from corrupted logs
-IMPACT_MPS2 = 100.0  # 10 g: more than any manoeuvre
-
-NEVER_US = 1 << 62
 # r above which learning pauses, below LEAST_EXPLAINED, and for how many bins at most; chosen
 DOUBT_STATISTIC, MOST_DOUBTFUL_BINS = 12.0, 200
 
@@ -102,9 +101,9 @@ class ActuatorResponse:
     source: int = 0  # of the commands
     lag_us: float = math.nan  # means of the commands: behind the IMU, and their interval
     interval_us: float = math.nan
-    command_us: int = -NEVER_US
+    command_us: int = -FOREVER_US
     flies: bool = False
-    crash_us: int = NEVER_US
+    crash_us: int = FOREVER_US
     irregular_left: int = 0  # bins left to skip
     outlier_run: int = 0  # bins in a row: of outliers, without and with this hypothesis, doubtful
     nominal_run: int = 0
@@ -152,7 +151,7 @@ class ActuatorResponse:
         if abs(late_us) > GAP_US:
             self._begin_flight()
         impact = math.hypot(*values[3:6].tolist()) > IMPACT_MPS2
-        if impact and self.isolated != NO_HYPOTHESES and self.crash_us == NEVER_US:
+        if impact and self.isolated != NO_HYPOTHESES and self.crash_us == FOREVER_US:
             self.crash_us = t_us
         full = self.bins.add_imu_sample(t_us, values)
         if full is None:
@@ -228,7 +227,7 @@ class ActuatorResponse:
                 self.ground_mps = math.inf if speed < REST_SPEED_MPS else FLYING_SPEED_MPS
         up = abs(fix[ALT] - self.first_alt_m) > FLYING_HEIGHT_M
         if not self.flies and (up or speed > FLYING_SPEED_MPS):
-            self.flies, self.crash_us = True, NEVER_US
+            self.flies, self.crash_us = True, FOREVER_US
             self._begin_flight()
         elif self.flies and not up and speed < REST_SPEED_MPS:
             self.flies, self.isolated = False, NO_HYPOTHESES

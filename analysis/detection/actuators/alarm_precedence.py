@@ -15,6 +15,8 @@ from analysis.results import Decision, Result, SensorDecision
 
 ACTUATORS = "actuators"  # their `sensor` in results
 IMU_US = 20_000_000  # after an IMU alarm: its hold time and the time to learn the model again
+FOREVER_US = 1 << 62  # later than any stamp
+IMPACT_MPS2 = 100.0  # 10 g: more than any manoeuvre
 CRASHED, IMU_AT_FAULT = "after a crash", "the IMU is at fault"
 TUMBLING = "turns faster than the gyro's range"
 

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 import msgspec
 import numpy as np
 
-from analysis.detection.streams.pause_filter import IMU_SILENT
+from analysis.detection.streams.pause_filter import is_imu_silence
 from analysis.results import Result, SensorDecision
 from analysis.samples.block import IMU, Block, Indices, Stamps
 
@@ -44,11 +44,7 @@ def withdraw_silence(
     """The results without alarms that a held-out IMU is silent."""
     changed: list[tuple[int, Result]] = []
     for row, result in results:
-        if (
-            isinstance(result, SensorDecision)
-            and result.reason.startswith(IMU_SILENT)
-            and result.t_us < until[row] + HELD_US
-        ):
+        if is_imu_silence(result) and result.t_us < until[row] + HELD_US:
             result = msgspec.structs.replace(result, alarm=False, isolated=False, reason=HELD_OUT)
         changed.append((row, result))
     return changed

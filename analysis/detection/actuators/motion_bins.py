@@ -12,7 +12,7 @@ import numpy as np
 from analysis.detection.actuators.effects import COMMANDS
 from analysis.samples.sample import Vector
 
-BIN_US = 100_000
+BIN_US = 100_000  # chosen: a few lags of a motor
 NEVER_BIN = -(1 << 40)
 
 # Of `sums`: samples, their times in the bin, rates, specific force, lagged commands, airspeed

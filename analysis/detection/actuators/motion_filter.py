@@ -36,10 +36,11 @@ from analysis.detection.actuators.effects import (
     TERMS,
     Effects,
 )
+from analysis.detection.actuators.motion_bins import BIN_US
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
-BIN_S = 0.1
+BIN_S = BIN_US / 1e6
 # Time constants of m, of C and the constant term, chosen.
 SHORT_S, LONG_S, CONSTANT_S = 0.5, 60.0, 20.0
 EARLY_SHARE = 3.0  # a memory is at most a third of the flight so far, or its start would dominate

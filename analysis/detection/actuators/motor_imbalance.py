@@ -22,7 +22,7 @@ MOTOR_COUNT = 4  # the controller has four demands
 # Memories of the mean, of the usual mean and of its spread, chosen.
 FAST_S, SLOW_S, SPREAD_S = 1.0, 20.0, 60.0
 LEARNING_S = 15.0  # of flight before the first test: the slow mean has settled
-CONFIRM_S, RECOVER_S, REPEAT_S = 1.5, 1.0, 1.0
+CONFIRM_S, RECOVER_S, REPEAT_S = 1.5, 1.0, 1.0  # chosen
 LEAST_RAISE = 0.08  # of a motor's command: 20 % of its power, as thrust grows with the square
 RAISE_SIGMAS = 6.0  # of the usual spread: p 2e-9 of a normal distribution
 MOST_SPREAD = 0.12  # limit of these sigmas: outputs that are more uneven are not tested, chosen

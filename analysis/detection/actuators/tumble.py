@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.detection.actuators.alarm_precedence import FOREVER_US, IMPACT_MPS2
 from analysis.detection.compass.compass_samples import ZERO, Axis, compass_samples, dot
 from analysis.samples.block import IMU, MAG, NEVER_US, Block
 
@@ -21,8 +22,6 @@ SATURATED_SHARE, SATURATED_SAMPLES = 0.005, 5
 TURNED_COSINE = 0.87758  # cosine of 0.5 rad, the turn of the field since a mark
 MARK_US = 500_000  # between marks of the field
 LOST_US = 20_000_000  # hold time of a sensor and the time to find the attitude again
-IMPACT_MPS2 = 100.0  # specific force of 10 g, as in actuator_response
-FOREVER_US = 1 << 62
 
 
 @dataclass(slots=True)

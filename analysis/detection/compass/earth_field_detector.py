@@ -21,7 +21,7 @@ MOST_DEG = (90.0, 180.0)  # latitude and longitude on Earth
 # Defaults of PX4 1.18, which refuses a compass beyond them: EKF2_MAG_CHK_STR, EKF2_MAG_CHK_INC
 MOST_GAUSS, MOST_RAD = 0.2, 0.349
 CONFIRM_WINDOWS = 5  # windows in a row, chosen: turns and manoeuvres are shorter
-WINDOW_US = 1_000_000
+WINDOW_US = 1_000_000  # chosen: a few samples of a slow compass
 LEAST_SAMPLES = 3  # samples of a mean, chosen
 FORCE_MPS2 = 0.5  # deviation of the mean specific force from gravity: 5 %
 STEADY_SHARE = 0.8  # size of the mean field over the mean size: it did not turn meanwhile

@@ -28,7 +28,7 @@ from analysis.detection.detector_registry import BlockDetector, RowResults
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import NEVER_US, Block
 
-BIN_US, BIN_COUNT = 1_000_000, 5
+BIN_US, BIN_COUNT = 1_000_000, 5  # five seconds, chosen
 GAP_US = 1_000_000  # between two different fields
 # gyro gaps without a known rate: in usual intervals, and at most
 INTERVALS, LONGEST_US = 2.5, 350_000

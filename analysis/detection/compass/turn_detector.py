@@ -29,7 +29,7 @@ from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import NEVER_US, Block
 from mavproxy_fault.numerics.rotations.one_rotation import rotate_quaternion, rotate_to_body
 
-BIN_US, BIN_COUNT = 500_000, 8
+BIN_US, BIN_COUNT = 500_000, 8  # four seconds, chosen
 # longest gap of the gyro, and between two fields that may show a jump
 GAP_US, STEP_US = 100_000, 150_000
 STEP_RAD = 0.1  # larger turns between two gyro samples are not integrated well

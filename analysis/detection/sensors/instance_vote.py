@@ -80,14 +80,10 @@ class VoteState:
 
     def __init__(self, count: int) -> None:
         self.window: int | None = None
-        self.sums, self.changes = (
-            np.zeros((MOST_INSTANCES, count)),
-            np.zeros((MOST_INSTANCES, count)),
-        )
-        self.counts, self.newest = (
-            np.zeros(MOST_INSTANCES),
-            np.full((MOST_INSTANCES, count), np.nan),
-        )
+        self.sums = np.zeros((MOST_INSTANCES, count))
+        self.changes = np.zeros((MOST_INSTANCES, count))
+        self.counts = np.zeros(MOST_INSTANCES)
+        self.newest = np.full((MOST_INSTANCES, count), np.nan)
         self.meridian_rad = np.nan  # longitudes are compared near that of the first fix
         self.missing = np.zeros(MOST_INSTANCES, int)  # windows in a row without a sample
         self.differences = {
@@ -206,7 +202,7 @@ def _vote_window(t_us: int, voters: VoterKind, state: VoteState) -> list[SensorD
     outvoted = [
         i
         for i in sampled
-        if len(sampled) > 2 and all(_pair(i, j) in outliers for j in sampled if j != i)
+        if len(sampled) > 2 and sum(i in pair for pair in outliers) == len(sampled) - 1
     ]
     if len(outvoted) == 1:
         return [_result(t_us, voters, outvoted, "disagrees with the others")]
@@ -225,10 +221,6 @@ def _silent(state: VoteState) -> list[int]:
         if state.missing[i] >= CONFIRM_WINDOWS
         and state.differences[0, i].windows >= LEARNED_WINDOWS
     ]
-
-
-def _pair(i: int, j: int) -> tuple[int, int]:
-    return (min(i, j), max(i, j))
 
 
 def _is_off(difference: Vector, known: InstanceDifference, limits: Vector) -> bool:

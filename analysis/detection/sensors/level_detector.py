@@ -21,7 +21,7 @@ from analysis.samples.block import FIX_3D, FIX_TYPE, IMU, MAG, NEVER_US, Block
 MEAN_US, TURN_RAD = 200_000, 0.5
 CHANGE_SIGMAS = 8.0  # of the short mean about the long one, chosen
 SHORT_S, LONG_S, LEARNED_S, USUAL_S = 0.3, 30.0, 4.0, 20.0  # chosen
-CONFIRM_US, REPEAT_US = 300_000, 500_000
+CONFIRM_US, REPEAT_US = 300_000, 500_000  # chosen; results repeat every half second
 GAP_US = 1_000_000  # gap after which a level is learned again
 
 

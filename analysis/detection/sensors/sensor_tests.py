@@ -318,6 +318,10 @@ def _untested(t_us: int, name: str, state: SensorState, reason: str) -> SensorDe
     return SensorDecision(
         t_us=t_us,
         sensor=name,
+        statistic=None,
+        threshold=None,
+        dof=0,
+        alarm=False,
         isolated=state.isolated,
         reason=reason,
     )

@@ -39,7 +39,7 @@ class PauseFilter:
         return [
             (row, result)
             for row, result in results
-            if not _is_silence(result) or result.t_us - ended[row] > AFTER_PAUSE_US
+            if not is_imu_silence(result) or result.t_us - ended[row] > AFTER_PAUSE_US
         ], state
 
 
@@ -67,5 +67,6 @@ def _pause_ends(block: Block, state: PauseState) -> tuple[Stamps, PauseState]:
     return ended, PauseState(int(newest[-1]), int(ended[-1]))
 
 
-def _is_silence(result: Result) -> bool:
+def is_imu_silence(result: Result) -> bool:
+    """Whether a result reports a silent IMU."""
     return isinstance(result, SensorDecision) and result.reason.startswith(IMU_SILENT)

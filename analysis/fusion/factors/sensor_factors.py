@@ -77,14 +77,17 @@ class SensorFactors:
         epoch = self._graph.nearest(sample.t_us, round(STALE_S * 1e6))
         if epoch is None:
             return None
+        if isinstance(sample, VisionSample):
+            return self._vision(sample, epoch, share)
+        # One factor per source and epoch: the first of faster samples.
+        if self._graph.window.contains(SOURCE_NAMES.get(type(sample), ""), epoch):
+            return None
         if isinstance(sample, BaroSample):
             used = self._baro(sample, epoch, root)
         elif isinstance(sample, MagSample):
             used = self._mag(sample, epoch, root)
         elif isinstance(sample, AirspeedSample):
             used = self._airspeed(sample, epoch, root)
-        elif isinstance(sample, VisionSample):
-            return self._vision(sample, epoch, share)
         elif isinstance(sample, GpsFix) and decision and decision.mode.startswith("position"):
             if self._config.decide and (
                 decision.excluded or decision.hypothesis not in ("none", "imu")
@@ -130,8 +133,7 @@ class SensorFactors:
         return float(r_m[2]), height
 
     def _baro(self, sample: BaroSample, epoch: int, root: float) -> bool:
-        # One factor per source and epoch: the first of faster samples.
-        if not sample.pressure_pa > 0.0 or self._graph.window.contains("baro", epoch):
+        if not sample.pressure_pa > 0.0:
             return False
         up_m, height = self._up_m(epoch)
         # The graph's z is the height above the anchor's tangent plane, not above the ellipsoid.
@@ -150,16 +152,12 @@ class SensorFactors:
         graph = self._graph
         if not graph.aligned or not np.isfinite(sample.field_b_gauss).all():
             return False
-        if graph.window.contains("mag", epoch):
-            return False
         factor = mag_factor(epoch, sample.field_b_gauss, graph.frame, self._config.mag_gauss / root)
         graph.attach("mag", epoch, factor)
         return True
 
     def _airspeed(self, sample: AirspeedSample, epoch: int, root: float) -> bool:
         if not math.isfinite(sample.diff_pressure_pa):
-            return False
-        if self._graph.window.contains("airspeed", epoch):
             return False
         _, height = self._up_m(epoch)
         speed = math.sqrt(2.0 * max(sample.diff_pressure_pa, 0.0) / density_kgpm3(height))
@@ -210,7 +208,7 @@ class SensorFactors:
         """The receiver's own solution, where there are no raw ranges."""
         graph, config = self._graph, self._config
         measured, _ = fix_measurement(sample)
-        if measured is None or graph.window.contains("gps-position", epoch):
+        if measured is None:
             return False
         to_local = graph.frame.axes @ measured.axes.T
         spread = config.correlation**2 * to_local @ np.diag(measured.variance_m2) @ to_local.T

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
 from simvehicle.vehicles.parameter_file import (
     ParameterSection,
     VehicleParameters,
-    read_parameters,
 )
 
 
@@ -115,11 +113,6 @@ class FixedWingParameters(VehicleParameters, frozen=True):
         if (self.thrust_law is None) == (self.motor is None):
             raise ValueError("exactly one of thrust_law and motor is needed")
         super().__post_init__()
-
-
-def read_fixedwing(name: str | Path) -> FixedWingParameters:
-    """Read a shipped set by name (`aerosonde-2012`) or a file by path."""
-    return read_parameters(name, FixedWingParameters)
 
 
 def wheel_gear(parameters: FixedWingParameters) -> Gear:

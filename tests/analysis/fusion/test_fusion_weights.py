@@ -84,9 +84,9 @@ def test_isolated_and_alarmed_sensors_are_left_out():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"lag_s": 0.0}, "monitor.fusion.lag_s = 0.0 is not positive"),
+        ({"lag_s": 0.0}, "monitor.fusion.lag_s = 0.0 is out of range"),
         ({"hopeless": 2.0}, "is not above suspicious"),
-        ({"robust": "cauchy"}, "known: none, huber, geman-mcclure"),
+        ({"robust": "cauchy"}, "known: geman-mcclure, gnc, huber, none"),
         ({"lag": 5.0}, "monitor.fusion.lag is unknown"),
         ({"lag_s": "five"}, "expected `float`"),
     ],

@@ -60,7 +60,7 @@ places: [[1, 2]]
 """) == [
         "cart.yaml:1: nme is unknown; did you mean name?",
         "cart.yaml:2: colour = 'blue' is unknown; known: green, red",
-        "cart.yaml:4: wheels[0].size_m = 0 does not fit: expected `float` > 0.0",
+        "cart.yaml:4: wheels[0].size_m = 0 is out of range; above 0 is allowed",
         "cart.yaml:5: wheels[1] lacks size_m, which is required; add it",
         "cart.yaml:6: wheels[2].size_m = 3.0 is too large; up to 2",
         "cart.yaml:7: pair[1] = nan is not finite; give a finite number",

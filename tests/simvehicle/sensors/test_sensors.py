@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from mavproxy_fault.documents.document_check import decode
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import Document
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat, quat_from_euler
 from simvehicle.environment.air import pressure_altitude
 from simvehicle.sensors.airspeed import Airspeed
@@ -18,7 +21,6 @@ from simvehicle.sensors.flow import OpticalFlow
 from simvehicle.sensors.gps import Gps, GpsError
 from simvehicle.sensors.imu import ImuSensor
 from simvehicle.sensors.magnetometer import Magnetometer
-from simvehicle.sensors.measure_kernel import measure
 from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.readings import (
     BatteryReading,
@@ -29,6 +31,7 @@ from simvehicle.sensors.readings import (
 )
 from simvehicle.sensors.vision import Vision
 from simvehicle.simulation.onboard_sensors import CompiledOnboardSensor
+from simvehicle.simulation.step_kernel import measure
 from simvehicle.vehicles.body import Truth
 
 FIELD = (0.21, 0.01, 0.43)
@@ -262,5 +265,5 @@ def test_a_gps_error_in_metres_is_metres_on_the_ground() -> None:
 
 @pytest.mark.parametrize("name", ["sigma", "density", "bias_sigma", "drift_sigma", "walk"])
 def test_negative_noise_is_refused(name: str) -> None:
-    with pytest.raises(ValueError, match=f"{name} = -1.0 is negative"):
-        NoiseModel(**{name: -1.0})
+    with pytest.raises(ConfigError, match=f"{name} = -1.0 is out of range; 0 or more"):
+        decode(Document({name: -1.0}, "noise.yaml", {}), NoiseModel)

@@ -11,7 +11,6 @@ from simvehicle.scenario.scenario_file import Scenario, VehicleChoice, read_scen
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.simulation.vehicle_kinds import find_vehicle_kind
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
-from simvehicle.vehicles.fixedwing.fixedwing_parameters import read_fixedwing
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
 SHIPPED = Path(str(resources.files("simvehicle.vehicles") / "parameters"))
@@ -20,7 +19,7 @@ WINGS = ["aerosonde-2012", "aerosonde-2025", "aerosonde-2025-matlab", "zagi-2012
 
 @pytest.mark.parametrize("name", [*WINGS, "aerosonde-2025-thrust-law"])
 def test_every_shipped_wing_names_its_source(name: str) -> None:
-    parameters = read_fixedwing(name)
+    parameters = FixedWing.read(name).parameters
     assert parameters.name == name
     assert "Beard and McLain" in parameters.source or "mavsim_public" in parameters.source
 

@@ -7,7 +7,7 @@ from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, WingInputs, state_derivative
-from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_coefficients, read_fixedwing
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_coefficients
 from simvehicle.vehicles.fixedwing.trim import find_trim
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.parameter_file import body_inertia
@@ -19,7 +19,7 @@ from simvehicle.vehicles.rigidbody_kernel import (
 )
 from simvehicle.vehicles.vehicle import pack_surroundings
 
-PARAMETERS = read_fixedwing("aerosonde-2025")
+PARAMETERS = FixedWing.read("aerosonde-2025").parameters
 BODY, AERO = body_inertia(PARAMETERS, {}), aero_coefficients(PARAMETERS, {})
 JX, JY, JZ, JXZ = 0.8244, 1.135, 1.759, 0.1204
 J = np.array([[JX, 0.0, -JXZ], [0.0, JY, 0.0], [-JXZ, 0.0, JZ]])

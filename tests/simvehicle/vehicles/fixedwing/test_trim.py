@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_coefficients, read_fixedwing
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
+from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_coefficients
 from simvehicle.vehicles.fixedwing.trim import (
     euler_derivative,
     find_trim,
@@ -66,7 +67,7 @@ def test_trim_and_modes_are_those_of_the_table(
     longitudinal: list[complex],
     lateral: list[complex],
 ) -> None:
-    parameters = read_fixedwing(name)
+    parameters = FixedWing.read(name).parameters
     body, aero = body_inertia(parameters, {}), aero_coefficients(parameters, {})
     point = find_trim(airspeed, body, aero)
     assert np.degrees(point.alpha_rad) == pytest.approx(alpha_deg, abs=0.006)
@@ -80,7 +81,7 @@ def test_trim_and_modes_are_those_of_the_table(
 
 
 def test_a_trimmed_climb_is_steady_and_climbs() -> None:
-    parameters = read_fixedwing("aerosonde-2025")
+    parameters = FixedWing.read("aerosonde-2025").parameters
     body, aero = body_inertia(parameters, {}), aero_coefficients(parameters, {})
     point = find_trim(25.0, body, aero, climb_rad=0.1)
     rate = euler_derivative(point.state12(), point.controls(), body, aero, 1.2682, 9.81)
@@ -89,6 +90,6 @@ def test_a_trimmed_climb_is_steady_and_climbs() -> None:
 
 
 def test_a_speed_the_airframe_cannot_fly_is_refused() -> None:
-    parameters = read_fixedwing("aerosonde-2012")
+    parameters = FixedWing.read("aerosonde-2012").parameters
     with pytest.raises(ValueError, match="no straight flight at 5"):
         find_trim(5.0, body_inertia(parameters, {}), aero_coefficients(parameters, {}))
