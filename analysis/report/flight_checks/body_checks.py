@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.recording import FlightData, Signal, Windows, inside_windows
 from analysis.report.curves.vehicle_phase import flying_windows
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import CheckLimits, FlightCheck, Windows, check_level
+from analysis.report.judging.checks import CheckLimits, FlightCheck, check_level
 
 CONTROL_HOLD_S = 0.3  # chosen: out of control a vehicle oscillates, so large errors are brief
 POWERED_V = 2.0  # chosen: a rail that never exceeds it is not connected
@@ -45,11 +45,7 @@ def _clipping(recording: FlightData, th: Thresholds, armed: Windows | None) -> F
     for signal in recording.of("clipping"):
         # Increments only: the counter may start at any value and restart at zero.
         steps = np.maximum(np.diff(signal.value, prepend=signal.value[:1]), 0)
-        if armed is not None:
-            inside = np.zeros(len(steps), bool)
-            for start, end in armed:
-                inside |= (signal.t_s >= start) & (signal.t_s <= end)
-            steps = np.where(inside, steps, 0)
+        steps = np.where(inside_windows(signal.t_s, armed), steps, 0)
         grown.append(Signal("clipping", signal.name, signal.t_s, np.cumsum(steps)))
     return check_level("accelerometer clipping", grown, CheckLimits(*th.clipping_count), armed)
 

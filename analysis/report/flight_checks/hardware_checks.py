@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.recording import FlightData, Signal, Windows
 from analysis.report.curves.vehicle_phase import flying_windows
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import CheckLimits, FlightCheck, Windows, check_level
+from analysis.report.judging.checks import CheckLimits, FlightCheck, check_level
 
 FIRST_MOTOR, MOTORS = 33, 8  # SERVOn_FUNCTION of ArduPilot's motors 1 to 8
 PWM_US = (1000.0, 2000.0)  # ArduPilot's defaults of MOT_PWM_MIN and MOT_PWM_MAX

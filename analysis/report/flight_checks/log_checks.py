@@ -2,9 +2,9 @@
 
 import re
 
-from analysis.report.curves.recording import FlightData
+from analysis.report.curves.recording import FlightData, Windows
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, CheckLimits, FlightCheck, Windows
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, CheckLimits, FlightCheck
 
 DAMAGE = re.compile("corrupted|not read")
 MAX_LOST_SHARE = 0.9  # chosen: a higher share means that several links are merged in one log

@@ -9,8 +9,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from analysis.report.curves.recording import UNGRADED, Event, FlightData
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, Windows, is_within
+from analysis.report.curves.recording import UNGRADED, Event, FlightData, Windows
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, is_within
 from analysis.scoring.vehicle_outcome import HIT_GROUND, is_crash_text
 
 ALARMING = re.compile(
