@@ -233,7 +233,8 @@ def join_clocks(
         restarted = t_us[end] < t_us[end - 1]
         if boots is not None:
             restarted = np.searchsorted(boots, at[end]) > np.searchsorted(boots, at[end - 1])
-        restarts += int(restarted)
+        # A clock that falls back by less was set.
+        restarts += int(restarted and t_us[end] < t_us[end - 1] - FARTHEST_BEHIND_US)
         pause = int(at[end] - at[end - 1]) if pause_us is None else pause_us
         pause = pause if restarted else STEP_US
         shifts.append(newest + pause - int(t_us[end:after].min()))

@@ -15,6 +15,7 @@ from analysis.report.judging.checks import (
     lasting_windows,
     merged_windows,
 )
+from analysis.report.judging.lanes_in_use import check_in_use, estimator_windows
 
 _EKF_VARIANCES = (
     "velocity_variance", "pos_horiz_variance", "pos_vert_variance", "compass_variance",
@@ -47,12 +48,13 @@ def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> 
     far = CheckLimits(*th.position_error_m, "m", hold_s=hold)
     high = CheckLimits(*th.height_error_m, "m", hold_s=hold)
     tilted = CheckLimits(*th.attitude_error_deg, "deg", hold_s=hold)
+    cores = estimator_windows(recording)
     # Only estimates of the vehicle position.
     positions = [s for s in of("position-error") if s.name in ("estimate", "fused")]
     return [
         _numbers(recording, th, armed),
-        check_level("innovation test ratios", of("ratio"), ratio, armed),
-        check_level("EKF variances", of("variance"), variance, armed),
+        check_in_use("innovation test ratios", of("ratio"), ratio, armed, cores),
+        check_in_use("EKF variances", of("variance"), variance, armed, cores),
         check_level("estimate steps", of("estimate-jump"), step, armed),
         check_level("position against the truth", positions, far, armed),
         check_level("height against the truth", _height_errors(recording), high, armed),
