@@ -40,6 +40,7 @@ class FlightAssessment:
     summary: dict[str, Any]
 
 
+@np.errstate(invalid="ignore", over="ignore")  # a log may hold any bits as a number
 def assess_flight(flight: RecordedFlight, thresholds: Thresholds) -> FlightAssessment:
     """Add derived curves to a flight, run all checks, and summarise."""
     recording = add_derived_curves(flight.recording)

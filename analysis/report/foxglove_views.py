@@ -17,7 +17,6 @@ from mavproxy_fault.documents.extras import import_extra
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
 
 RATE_HZ = 50.0  # of an attitude, at most: a screen shows no more
-EARTH_M = 6_371_000.0  # mean radius: a view needs no ellipsoid
 MAP = "map"
 Vector = NDArray[np.float64]
 
@@ -93,13 +92,9 @@ def attitudes(
 
 def local_places(track: GroundTrack, origin: GroundTrack, t_s: Vector) -> Vector:
     """Return metres east, north and up of the start of `origin`, (n, 3) at the times `t_s` (n,)."""
-    lat, lon, alt_m = (
-        np.interp(t_s, track.t_s, values)
-        for values in (track.lat_deg, track.lon_deg, np.nan_to_num(track.alt_m))
-    )
-    lat0, lon0, alt0_m = origin.lat_deg[0], origin.lon_deg[0], np.nan_to_num(origin.alt_m[0])
-    east = np.deg2rad(lon - lon0) * EARTH_M * np.cos(np.deg2rad(lat0))
-    return np.column_stack([east, np.deg2rad(lat - lat0) * EARTH_M, alt_m - alt0_m])
+    north, east = track.metres_from(float(origin.lat_deg[0]), float(origin.lon_deg[0]))
+    up = np.nan_to_num(track.alt_m) - np.nan_to_num(origin.alt_m[0])
+    return np.column_stack([np.interp(t_s, track.t_s, axis) for axis in (east, north, up)])
 
 
 def topic_name(name: str) -> str:

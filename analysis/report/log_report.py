@@ -5,6 +5,8 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from analysis.report.comparison import comparison_tables, overlay_flights
 from analysis.report.export_tracks import FORMS as TRACK_FORMS
 from analysis.report.export_tracks import export_tracks
@@ -59,6 +61,7 @@ def write_optional_outputs(
         write_pdf(folder / "report.html")
 
 
+@np.errstate(invalid="ignore", over="ignore")  # a log may hold any bits as a number
 def write_report(
     folder: Path,
     outcome: FlightAssessment,

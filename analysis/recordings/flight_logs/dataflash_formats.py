@@ -112,7 +112,8 @@ def parse_format(raw: bytes) -> MessageFormat | None:
         # Which name is split or merged is unknown: only those of a known message can be assigned.
         known = KNOWN.get(name, columns[:1])
         columns = [*known, *(f"column{i}" for i in range(len(known), len(codes)))][: len(codes)]
-    unique = [f"{c}_{i}" if c in columns[:i] or c == "at" else c for i, c in enumerate(columns)]
+    taken = ("at", "")
+    unique = [f"{c}_{i}" if c in (*columns[:i], *taken) else c for i, c in enumerate(columns)]
     return _named(MessageFormat(number, name, tuple(unique), codes, tuple(sizes), sound))
 
 

@@ -108,26 +108,23 @@ def place_rows(
         known = stamps[key] != 0
         known[: _stale_rows(stamps[key]) if topics else 0] = False
         parts.append((messages[key].at[: len(known)][known], stamps[key][known]))
-    at, t_us = _in_file_order(parts)
-    wrong = find_misdated(t_us)
-    at, t_us, wrong_places = at[~wrong], t_us[~wrong], at[wrong]
-    edges, shifts = _join_clocks(at, t_us, np.sort(np.array(boots, np.int64)), found)
-    at, t_us = _with_other_clock(
-        at, t_us + shifts[np.searchsorted(edges, at, "right")], list(messages.values())
-    )
+    clock, wrong_places = join_clocks(parts, np.sort(np.array(boots, np.int64)))
+    found.restarts, found.settings = clock.restarts, len(clock.edges) - clock.restarts
+    clock = _with_other_clock(clock, list(messages.values()))
+    t_us = clock.t_us
     first, last = (int(t_us.min()), int(t_us.max())) if len(t_us) else (0, 0)
     found.begin_us = first
     if begin_us is not None and abs(first - begin_us) < STALE_US:
         found.begin_us = begin_us
     for key, rows in messages.items():
-        own, place = stamps[key], _between if found.unstamped else _newest_before
-        placed = place(rows.at, at, t_us)
+        own = stamps[key]
+        placed = clock.between(rows.at)
         if len(own):
-            placed = _between(rows.at, at, t_us)
-            clock = own + shifts[np.searchsorted(edges, rows.at, "right")]
-            placed = np.where(own != 0, clock, placed)
+            placed = np.where(own != 0, clock.continued(rows.at, own), placed)
+        elif not found.unstamped:
+            placed = clock.newest_before(rows.at)
         keep = ~np.isin(rows.at, wrong_places)
-        if topics and len(at):
+        if topics and len(clock.at):
             keep &= (key in even) | ~find_misdated(placed, topic=True)
             stale = keep & (placed < found.begin_us - STALE_US)
             found.stale += int(stale.sum())
@@ -169,57 +166,98 @@ def _in_file_order(parts: Sequence[tuple[Stamps, Stamps]]) -> tuple[Stamps, Stam
     return at[order], t_us[order]
 
 
-def _join_clocks(at: Stamps, t_us: Stamps, boots: Stamps, found: RowTimes) -> tuple[Stamps, Stamps]:
-    """Places (k,) from which another clock counts, and shifts (k + 1,) that join the clocks."""
+class RowClock(NamedTuple):
+    """The vehicle's time along a log.
+
+    Attributes
+    ----------
+    at, t_us : int64 arrays, shape (n,)
+        Places in the log of rows with a stamp, in order, and their times in us.
+    edges, shifts : int64 arrays, shape (k,) and (k + 1,)
+        Places from which another clock counts, and what joins each clock to the one before.
+    restarts : int
+        How many of the edges are restarts of the vehicle.
+    """
+
+    at: Stamps
+    t_us: Stamps
+    edges: Stamps
+    shifts: Stamps
+    restarts: int
+
+    def continued(self, places: Stamps, stamp_us: Stamps) -> Stamps:
+        """The times of stamps (n,) at `places`."""
+        return stamp_us + self.shifts[np.searchsorted(self.edges, places, "right")]
+
+    def newest_before(self, places: Stamps) -> Stamps:
+        """The time of the row before each of some places (n,)."""
+        if not len(self.t_us):
+            return np.zeros(len(places), np.int64)
+        return self.t_us[np.maximum(np.searchsorted(self.at, places) - 1, 0)]
+
+    def between(self, places: Stamps) -> Stamps:
+        """Times (n,) at `places` from known ones; beyond them at the mean rate."""
+        at, t_us = self.at, self.t_us
+        if len(at) < 2 or at[-1] == at[0]:
+            return np.full(len(places), t_us[0] if len(t_us) else 0, np.int64)
+        newest = np.maximum.accumulate(t_us)
+        inside = np.interp(places, at, newest)
+        rate = (newest[-1] - newest[0]) / (at[-1] - at[0])
+        beyond = np.minimum(places - at[0], 0) + np.maximum(places - at[-1], 0)
+        return np.asarray(inside + rate * beyond, np.int64)
+
+
+def join_clocks(
+    parts: Sequence[tuple[Stamps, Stamps]], boots: Stamps | None, pause_us: int | None = PAUSE_US
+) -> tuple[RowClock, Stamps]:
+    """The clock of rows, and the places of rows with a wrong stamp.
+
+    Parameters
+    ----------
+    parts : sequence of (at, stamp_us)
+        Places and stamps of rows.
+    boots : int64 array or None
+        Places at which the logger began anew; None: the vehicle restarts where its clock falls
+        back.
+    pause_us : int or None
+        Between two boots; None: that between their places, which are times.
+    """
+    at, t_us = _in_file_order(parts)
+    wrong = find_misdated(t_us)
+    at, t_us, wrong_places = at[~wrong], t_us[~wrong], at[wrong]
     jumps = np.union1d(find_restarts(t_us), np.flatnonzero(np.diff(t_us) > LONGEST_GAP_US) + 1)
     begins = [0, *jumps.tolist(), len(t_us)]
-    shifts = [0]
+    shifts, restarts = [0], 0
     for begin, end, after in zip(begins, begins[1:], begins[2:], strict=False):
         newest = int(t_us[begin:end].max()) + shifts[-1]
-        between = np.searchsorted(boots, (at[end - 1], at[end]))
-        restarted = between[1] > between[0]
-        found.restarts += int(restarted)
-        found.settings += int(not restarted)
-        pause = PAUSE_US if restarted else STEP_US
+        restarted = t_us[end] < t_us[end - 1]
+        if boots is not None:
+            restarted = np.searchsorted(boots, at[end]) > np.searchsorted(boots, at[end - 1])
+        # A clock that falls back by less was set.
+        restarts += int(restarted and t_us[end] < t_us[end - 1] - FARTHEST_BEHIND_US)
+        pause = int(at[end] - at[end - 1]) if pause_us is None else pause_us
+        pause = pause if restarted else STEP_US
         shifts.append(newest + pause - int(t_us[end:after].min()))
-    return at[jumps], np.array(shifts, np.int64)
+    edges, joins = at[jumps], np.array(shifts, np.int64)
+    t_us = t_us + joins[np.searchsorted(edges, at, "right")]
+    return RowClock(at, t_us, edges, joins, restarts), wrong_places
 
 
-def _with_other_clock(
-    at: Stamps, t_us: Stamps, messages: Sequence[RowStamps]
-) -> tuple[Stamps, Stamps]:
+def _with_other_clock(clock: RowClock, messages: Sequence[RowStamps]) -> RowClock:
     """Add the times of another clock, where a log has no stamps for more than `STALE_US` of it."""
+    at, t_us = clock.at, clock.t_us
     others = [(rows.at, rows.other_us) for rows in messages if rows.other_us is not None]
     other_at, other_us = _in_file_order([(a[o > 0], o[o > 0]) for a, o in others])
     if not len(other_at):
-        return at, t_us
+        return clock
     order = np.maximum.accumulate(other_us)
     if not len(at):
-        return other_at, order - order[0]
+        return clock._replace(at=other_at, t_us=order - order[0])
     # The stretches without a stamp: gaps between the places that have one.
     inside = (other_at >= at[0]) & (other_at <= at[-1])
     offset = t_us[-1] - np.interp(at[-1], other_at, order) if inside.any() else 0
     behind, before = other_at > at[-1], other_at < at[0]
     lead = t_us[0] - np.interp(at[0], other_at, order)
-    return (
-        np.concatenate([other_at[before], at, other_at[behind]]),
-        np.concatenate([(order[before] + lead), t_us, (order[behind] + offset)]).astype(np.int64),
-    )
-
-
-def _newest_before(places: Stamps, at: Stamps, t_us: Stamps) -> Stamps:
-    """The time of the row before each of some places (n,) of a file."""
-    if not len(t_us):
-        return np.zeros(len(places), np.int64)
-    return t_us[np.maximum(np.searchsorted(at, places) - 1, 0)]
-
-
-def _between(places: Stamps, at: Stamps, t_us: Stamps) -> Stamps:
-    """Times (n,) at `places` of a file from known ones; beyond them at the mean rate."""
-    if len(at) < 2 or at[-1] == at[0]:
-        return np.full(len(places), t_us[0] if len(t_us) else 0, np.int64)
-    newest = np.maximum.accumulate(t_us)
-    inside = np.interp(places, at, newest)
-    rate = (newest[-1] - newest[0]) / (at[-1] - at[0])
-    beyond = np.minimum(places - at[0], 0) + np.maximum(places - at[-1], 0)
-    return np.asarray(inside + rate * beyond, np.int64)
+    times = np.concatenate([order[before] + lead, t_us, order[behind] + offset]).astype(np.int64)
+    places = np.concatenate([other_at[before], at, other_at[behind]])
+    return clock._replace(at=places, t_us=times)

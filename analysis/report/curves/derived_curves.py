@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from analysis.report.curves.fused_curves import fused_errors
+from analysis.report.curves.fused_curves import error_ned_m, fused_errors
 from analysis.report.curves.recording import Event, FlightData, GroundTrack, Signal, Vector
-from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 from mavproxy_fault.numerics.rotations.rotation import wrap_degrees
 
 OWN_ATTITUDE = ("ATTITUDE", "ATTITUDE_QUATERNION")
@@ -52,11 +51,8 @@ def derive_curves(recording: FlightData) -> tuple[list[Signal], list[Event]]:
 
 def step_beyond_speed(track: GroundTrack, speed_mps: Signal | None) -> Vector:
     """Length of each step of a track beyond what its speed explains, m; shape (n - 1,)."""
-    # A spherical earth is accurate enough for steps.
-    north = np.radians(np.diff(track.lat_deg)) * MEAN_EARTH_RADIUS_M
-    east = np.radians(wrap_degrees(np.diff(track.lon_deg))) * MEAN_EARTH_RADIUS_M
-    east *= np.cos(np.radians(track.lat_deg[1:]))
-    length = np.hypot(north, east)
+    before = track.lat_deg[:-1], track.lon_deg[:-1]
+    length = np.hypot(*track.select(slice(1, None)).metres_from(*before))
     dt = np.diff(track.t_s)
     flown = np.zeros_like(length)
     if speed_mps is not None:
@@ -97,18 +93,10 @@ def _position_errors(recording: FlightData) -> list[Signal]:
     for track in recording.tracks:
         if track is truth or track.on_earth != truth.on_earth:
             continue
-        # Beyond the truth, `interp` would repeat its last value.
-        inside = (track.t_s >= truth.t_s[0]) & (track.t_s <= truth.t_s[-1])
-        if inside.sum() < 2:
-            continue
-        t_s = track.t_s[inside]
-        north = track.lat_deg[inside] - np.interp(t_s, truth.t_s, truth.lat_deg)
-        there = np.interp(t_s, truth.t_s, np.unwrap(truth.lon_deg, period=360))
-        east = wrap_degrees(track.lon_deg[inside] - there) * np.cos(
-            np.radians(track.lat_deg[inside])
-        )
-        error = np.radians(np.hypot(north, east)) * MEAN_EARTH_RADIUS_M
-        found.append(Signal("position-error", track.name, t_s, error))
+        t_s, error = error_ned_m(track, truth)
+        if len(t_s) > 1:
+            level = np.hypot(error[:, 0], error[:, 1])
+            found.append(Signal("position-error", track.name, t_s, level))
     return found
 
 

@@ -3,8 +3,6 @@
 import numpy as np
 
 from analysis.report.curves.recording import FlightData, GroundTrack, Signal, Vector
-from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
-from mavproxy_fault.numerics.rotations.rotation import wrap_degrees
 
 AXES = ("north", "east", "down")
 FUSED = "fused"  # tracks of fused solutions begin with this
@@ -36,18 +34,9 @@ def error_ned_m(track: GroundTrack, truth: GroundTrack) -> tuple[Vector, Vector]
     inside = (track.t_s >= truth.t_s[0]) & (track.t_s <= truth.t_s[-1])
     t_s = track.t_s[inside]
     lat, lon, alt = (
-        own[inside] - np.interp(t_s, truth.t_s, true)
-        for own, true in (
-            (track.lat_deg, truth.lat_deg),
-            (track.lon_deg, np.unwrap(truth.lon_deg, period=360)),
-            (track.alt_m, truth.alt_m),
-        )
+        np.interp(t_s, truth.t_s, true)
+        for true in (truth.lat_deg, np.unwrap(truth.lon_deg, period=360), truth.alt_m)
     )
-    north = np.radians(lat) * MEAN_EARTH_RADIUS_M
-    east = (
-        np.radians(wrap_degrees(lon))
-        * MEAN_EARTH_RADIUS_M
-        * np.cos(np.radians(track.lat_deg[inside]))
-    )
+    own = track.select(inside)
     # Down is the negative height error.
-    return t_s, np.column_stack((north, east, -alt))
+    return t_s, np.column_stack((*own.metres_from(lat, lon), alt - own.alt_m))

@@ -11,8 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
+from mavproxy_fault.numerics.rotations.rotation import wrap_degrees
 
 Vector = NDArray[np.float64]
+Windows = Sequence[tuple[float, float]]  # seconds
 UNGRADED = 8  # severity of messages in logs without severities
 
 
@@ -71,6 +73,15 @@ class GroundTrack:
         """The track restricted to some rows."""
         names = ("t_s", "lat_deg", "lon_deg", "alt_m")
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+    def metres_from(
+        self, lat_deg: Vector | float, lon_deg: Vector | float
+    ) -> tuple[Vector, Vector]:
+        """Metres north and east (n,) from a place, or from one for each point, on a sphere."""
+        north = np.radians(self.lat_deg - lat_deg) * MEAN_EARTH_RADIUS_M
+        # Also across the antimeridian.
+        east = np.radians(wrap_degrees(self.lon_deg - lon_deg)) * MEAN_EARTH_RADIUS_M
+        return north, east * np.cos(np.radians(self.lat_deg))
 
 
 def local_track(
@@ -180,6 +191,16 @@ def join_recordings(first: FlightData, second: FlightData) -> FlightData:
             "utc0_us": first.utc0_us or second.utc0_us,
         },
     )
+
+
+def inside_windows(t_s: Vector, windows: Windows | None) -> NDArray[np.bool_]:
+    """Which times (n,) are within any of the windows (None: all)."""
+    if windows is None:
+        return np.ones(len(t_s), bool)
+    inside = np.zeros(len(t_s), bool)
+    for start_s, end_s in windows:
+        inside |= (t_s >= start_s) & (t_s <= end_s)
+    return inside
 
 
 def true_runs(active: NDArray[np.bool_]) -> list[tuple[int, int]]:

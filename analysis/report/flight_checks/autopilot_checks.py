@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from analysis.report.curves.recording import FlightData, Span
+from analysis.report.curves.recording import FlightData, Span, Windows
 from analysis.report.judging.autopilot_texts import texts_check
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, Windows, is_within
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, is_within
 
 SWITCH_WINDOW_S = 10.0  # chosen: repeated switches within it show an unstable choice
 LOG_START_S, STANDSTILL_MPS = 1.0, 1.0  # chosen: estimator start-up on the ground

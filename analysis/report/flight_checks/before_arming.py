@@ -1,9 +1,9 @@
 """Check of GPS and estimator before the first arming."""
 
-from analysis.report.curves.recording import FlightData
+from analysis.report.curves.recording import FlightData, Windows
 from analysis.report.flight_checks import estimate_checks, gps_checks
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, Windows
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck
 
 BENCH_S = 2.0  # chosen: a problem must last until this long before arming
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.recording import FlightData, Signal, Windows, inside_windows
 from analysis.report.curves.vehicle_phase import flying_windows
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import CheckLimits, FlightCheck, Windows, check_level
+from analysis.report.judging.checks import CheckLimits, FlightCheck, check_level
+from analysis.report.judging.lanes_in_use import check_in_use, imu_windows
 
 CONTROL_HOLD_S = 0.3  # chosen: out of control a vehicle oscillates, so large errors are brief
 POWERED_V = 2.0  # chosen: a rail that never exceeds it is not connected
@@ -16,6 +17,7 @@ def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> 
     of, hold = recording.of, th.hold_s
     shaking = th.vibration_px4_mps2 if recording.autopilot == "px4" else th.vibration_ardupilot_mps2
     control = CheckLimits(*th.attitude_control_deg, "deg", hold_s=CONTROL_HOLD_S)
+    imus = imu_windows(recording)
     tilt = [signal for signal in of("control-error") if signal.name == "tilt"]
     compass = CheckLimits(*th.compass_change_percent, "% off its median", hold_s=hold)
     remaining = CheckLimits(*th.battery_remaining_percent, "%", below=True, hold_s=hold)
@@ -28,8 +30,8 @@ def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> 
     ]
     voltage = CheckLimits(*th.board_voltage_v, "V", below=True)
     return [
-        check_level(
-            "vibration", of("vibration"), CheckLimits(*shaking, "m/s²", hold_s=hold), armed
+        check_in_use(
+            "vibration", of("vibration"), CheckLimits(*shaking, "m/s²", hold_s=hold), armed, imus
         ),
         _clipping(recording, th, armed),
         check_level("attitude control", tilt, control, flying_windows(recording)),
@@ -45,13 +47,10 @@ def _clipping(recording: FlightData, th: Thresholds, armed: Windows | None) -> F
     for signal in recording.of("clipping"):
         # Increments only: the counter may start at any value and restart at zero.
         steps = np.maximum(np.diff(signal.value, prepend=signal.value[:1]), 0)
-        if armed is not None:
-            inside = np.zeros(len(steps), bool)
-            for start, end in armed:
-                inside |= (signal.t_s >= start) & (signal.t_s <= end)
-            steps = np.where(inside, steps, 0)
+        steps = np.where(inside_windows(signal.t_s, armed), steps, 0)
         grown.append(Signal("clipping", signal.name, signal.t_s, np.cumsum(steps)))
-    return check_level("accelerometer clipping", grown, CheckLimits(*th.clipping_count), armed)
+    limits, imus = CheckLimits(*th.clipping_count), imu_windows(recording)
+    return check_in_use("accelerometer clipping", grown, limits, armed, imus)
 
 
 def _compass(recording: FlightData) -> list[Signal]:

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.fused_curves import error_ned_m
+from analysis.report.curves.recording import FlightData, Signal, Windows, inside_windows
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import (
     FAIL,
@@ -10,12 +11,11 @@ from analysis.report.judging.checks import (
     PASS,
     CheckLimits,
     FlightCheck,
-    Windows,
     check_level,
-    is_within,
     lasting_windows,
     merged_windows,
 )
+from analysis.report.judging.lanes_in_use import check_in_use, estimator_windows
 
 _EKF_VARIANCES = (
     "velocity_variance", "pos_horiz_variance", "pos_vert_variance", "compass_variance",
@@ -48,12 +48,13 @@ def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> 
     far = CheckLimits(*th.position_error_m, "m", hold_s=hold)
     high = CheckLimits(*th.height_error_m, "m", hold_s=hold)
     tilted = CheckLimits(*th.attitude_error_deg, "deg", hold_s=hold)
+    cores = estimator_windows(recording)
     # Only estimates of the vehicle position.
     positions = [s for s in of("position-error") if s.name in ("estimate", "fused")]
     return [
         _numbers(recording, th, armed),
-        check_level("innovation test ratios", of("ratio"), ratio, armed),
-        check_level("EKF variances", of("variance"), variance, armed),
+        check_in_use("innovation test ratios", of("ratio"), ratio, armed, cores),
+        check_in_use("EKF variances", of("variance"), variance, armed, cores),
         check_level("estimate steps", of("estimate-jump"), step, armed),
         check_level("position against the truth", positions, far, armed),
         check_level("height against the truth", _height_errors(recording), high, armed),
@@ -68,12 +69,12 @@ def _numbers(recording: FlightData, th: Thresholds, armed: Windows | None) -> Fl
     for title, message in recording.messages.items():
         fields = next((f for word, f in ESTIMATES.items() if title.startswith(word)), ())
         columns = [message.columns[key] for key in fields if key in message.columns]
-        inside = [is_within(t_s, armed) for t_s in message.t_s.tolist()] if columns else []
-        if not any(inside):
+        inside = inside_windows(message.t_s, armed)
+        if not columns or not inside.any():
             continue
         judged = True
         wrong = ~np.isfinite(np.column_stack(columns).astype(float)).all(axis=1)
-        found = lasting_windows(message.t_s, wrong & np.array(inside), th.hold_s)
+        found = lasting_windows(message.t_s, wrong & inside, th.hold_s)
         windows += found
         lost += [title] if found else []
     if not windows:
@@ -90,17 +91,11 @@ def _numbers(recording: FlightData, th: Thresholds, armed: Windows | None) -> Fl
 def _height_errors(recording: FlightData) -> list[Signal]:
     """Absolute errors of the estimated altitudes, m."""
     tracks = {track.name: track for track in recording.tracks}
-    truth = tracks.get("truth")
-    found = []
-    for name in ("estimate", "fused"):
-        own = tracks.get(name)
-        if truth is not None and own is not None:
-            # The truth is not extrapolated.
-            inside = (own.t_s >= truth.t_s[0]) & (own.t_s <= truth.t_s[-1])
-            there = np.interp(own.t_s[inside], truth.t_s, truth.alt_m)
-            off = np.abs(own.alt_m[inside] - there)
-            found.append(Signal("altitude", name, own.t_s[inside], off))
-    return found
+    if "truth" not in tracks:
+        return []
+    names = [name for name in ("estimate", "fused") if name in tracks]
+    errors = [(name, *error_ned_m(tracks[name], tracks["truth"])) for name in names]
+    return [Signal("altitude", name, t_s, np.abs(error[:, 2])) for name, t_s, error in errors]
 
 
 def _tilt_errors(recording: FlightData) -> list[Signal]:

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from analysis.report.curves.recording import FlightData
+from analysis.report.curves.recording import FlightData, Windows
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, Windows
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck
 from analysis.report.judging.vehicle_record import vehicle_record
 from analysis.scoring.vehicle_outcome import (
     BLOW,

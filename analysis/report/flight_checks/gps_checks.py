@@ -1,8 +1,8 @@
 """Checks of the GPS receiver: fix, satellites, dilution of precision, jumps, jamming."""
 
-from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.recording import FlightData, Signal, Windows
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import WARN, CheckLimits, FlightCheck, Windows, check_level
+from analysis.report.judging.checks import WARN, CheckLimits, FlightCheck, check_level
 
 FIX_2D = 2
 

@@ -2,12 +2,13 @@
 
 import re
 
-from analysis.report.curves.recording import FlightData
+from analysis.report.curves.recording import FlightData, Windows
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, CheckLimits, FlightCheck, Windows
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, CheckLimits, FlightCheck
 
 DAMAGE = re.compile("corrupted|not read")
 MAX_LOST_SHARE = 0.9  # chosen: a higher share means that several links are merged in one log
+AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 FEWEST_FRAMES = 500  # chosen: fewer frames of a sender are too few for a loss rate
 
 
@@ -37,10 +38,14 @@ def _log_integrity(recording: FlightData, th: Thresholds) -> FlightCheck:
 def _links(recording: FlightData, th: Thresholds) -> list[FlightCheck]:
     """Losses and silences of the vehicles' senders with enough frames."""
     vehicles = set(recording.systems)
+    # Where a vehicle's autopilot sends, its companions and cameras judge no flight.
+    piloted = {link.system for link in recording.links if link.component == AUTOPILOT}
     lost, silent = CheckLimits(*th.frames_lost_percent, "%"), CheckLimits(*th.silence_s, "s")
     checks = []
     for link in recording.links:
         if link.frames < FEWEST_FRAMES or link.system not in vehicles:
+            continue
+        if link.system in piloted and link.component != AUTOPILOT:
             continue
         share = link.lost / (link.frames + link.lost)
         percent = 100 * share

@@ -9,8 +9,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from analysis.report.curves.recording import UNGRADED, Event, FlightData
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, Windows, is_within
+from analysis.report.curves.recording import UNGRADED, Event, FlightData, Windows
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, is_within
 from analysis.scoring.vehicle_outcome import HIT_GROUND, is_crash_text
 
 ALARMING = re.compile(
@@ -21,6 +21,15 @@ ALARMING = re.compile(
 )
 SEVERE = re.compile(
     r"crash|emergency|parachute|terminat|failsafe(?!.*(short|clear))|thrust loss",
+    re.IGNORECASE,
+)
+# What ArduPilot sends as information or a notice, though words of alarm are in it; a dataflash log
+# has no severities (send_text in its libraries, vehicles of 4.7).
+INFORMATION = re.compile(
+    r"^(precland|autotune|net|ppp|scripting|smartrtl|tmode|windvane): |^(takeoff timeout|vtol pos1"
+    r"|parachute already|parachute: landed|opendroneid|format|saved crash_dump|db init"
+    r"|aborting termination|unable to terminate|failed( to (pause|resume|find|load))?$"
+    r"|terrain failsafe recovery)|transport initialization|because (no samples|of zero flow)",
     re.IGNORECASE,
 )
 RELEASED = re.compile(r"parachute:? released", re.IGNORECASE)
@@ -54,7 +63,8 @@ def is_alarming(event: Event) -> bool:
     if event.kind == "error":
         return event.severity <= WARNING
     # Cleared conditions and pre-arm messages are not alarming in flight.
-    if is_over(event.text) or PRE_ARM.search(event.text) or SETTING.search(event.text):
+    quiet = (PRE_ARM, SETTING, INFORMATION)
+    if is_over(event.text) or any(words.search(event.text) for words in quiet):
         return False
     if is_loss(event.text):
         return True

@@ -12,12 +12,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.curves.recording import Signal, Vector, true_runs
+from analysis.report.curves.recording import Signal, Vector, Windows, inside_windows, true_runs
 
 PASS, WARN, FAIL, NONE = "PASS", "WARN", "FAIL", "not judged"
 # "not judged" ranks below PASS.
 RANK = {NONE: 0, PASS: 1, WARN: 2, FAIL: 3}
-Windows = Sequence[tuple[float, float]]  # seconds
 MIN_SAMPLES = 5  # chosen: a curve of fewer samples is not judged
 CAUSE_S, CHAIN_SHOWN = 10.0, 5  # chosen: a cause acts within this time; events in the sentence
 LONG_GAP_S = 5.0  # chosen: across a longer gap a value is not assumed to persist
@@ -104,7 +103,7 @@ def check_level(
     name: str,
     signals: Sequence[Signal],
     limits: CheckLimits,
-    only: Sequence[tuple[float, float]] | None,
+    only: Windows | None,
 ) -> FlightCheck:
     """Check the curves of a panel against limits, within the windows `only` (None: everywhere)."""
     panel = signals[0].panel if signals else ""
@@ -151,13 +150,8 @@ def _excess_text(windows: Sequence[tuple[float, float]], hold_s: float) -> str:
     return f"; beyond the limit for {sum(end - start for start, end in windows):.1f} s"
 
 
-def _inside(signal: Signal, only: Sequence[tuple[float, float]] | None) -> tuple[Vector, Vector]:
-    keep = np.isfinite(signal.value)
-    if only is not None:
-        within = np.zeros(len(signal.t_s), bool)
-        for start, end in only:
-            within |= (signal.t_s >= start) & (signal.t_s <= end)
-        keep &= within
+def _inside(signal: Signal, only: Windows | None) -> tuple[Vector, Vector]:
+    keep = np.isfinite(signal.value) & inside_windows(signal.t_s, only)
     return signal.t_s[keep], signal.value[keep]
 
 

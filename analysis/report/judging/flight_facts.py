@@ -3,7 +3,7 @@
 import numpy as np
 
 from analysis.report.curves.derived_curves import OWN_ATTITUDE
-from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.recording import FlightData, Signal, inside_windows
 from analysis.report.curves.vehicle_phase import armed_windows
 
 AXES = ("roll", "pitch", "yaw")
@@ -51,10 +51,7 @@ def _inside(
     signal = next((curves[name] for name in names if name in curves), None)
     if signal is None:
         return None
-    inside = np.zeros(len(signal.t_s), bool)
-    for start, end in armed:
-        inside |= (signal.t_s >= start) & (signal.t_s <= end)
-    value = np.where(inside, signal.value, np.nan)
+    value = np.where(inside_windows(signal.t_s, armed), signal.value, np.nan)
     return Signal(panel, signal.name, signal.t_s, value) if np.isfinite(value).any() else None
 
 

@@ -13,7 +13,6 @@ from analysis.scoring.vehicle_outcome import (
     VehicleRecord,
     judge_vehicle,
 )
-from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
 
 TRUTH = "truth"
 GRID_S = {True: 0.02, False: 0.1}  # time step of truth and of estimates: fine enough for an impact
@@ -112,11 +111,10 @@ def _path(recording: FlightData, names: tuple[str, ...], t_s: Vector) -> tuple[V
     track: GroundTrack | None = next((tracks[name] for name in names if name in tracks), None)
     if track is None:
         return np.full(len(t_s), np.nan), np.full(len(t_s), np.nan)
-    lat, lon = np.radians(track.lat_deg), np.radians(track.lon_deg)
-    north_m = (lat - lat[0]) * MEAN_EARTH_RADIUS_M
-    east_m = (lon - lon[0]) * MEAN_EARTH_RADIUS_M * np.cos(lat[0])
+    start = float(track.lat_deg[0]), float(track.lon_deg[0])
     north_m, east_m = (
-        np.interp(t_s, track.t_s, axis, left=np.nan, right=np.nan) for axis in (north_m, east_m)
+        np.interp(t_s, track.t_s, axis, left=np.nan, right=np.nan)
+        for axis in track.metres_from(*start)
     )
     return north_m, east_m
 

@@ -39,8 +39,9 @@ class PackedNumbers:
     def add_values(self, values: Vector) -> Place:
         """Add values (n,); returns their first element and count."""
         at = sum(len(part) for part in self.parts)
-        # Little-endian, as the page expects.
-        self.parts.append(values.astype("<f4"))
+        # Little-endian, as the page expects; a number beyond its type's range is a wrong one.
+        inside = np.abs(values) < np.finfo("f4").max
+        self.parts.append(np.where(inside, values, np.nan).astype("<f4"))
         return {"at": at, "n": len(values)}
 
     def add_times(self, t_s: Vector) -> Place:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from analysis.report.curves.panels import BY_KEY, PANELS
-from analysis.report.curves.recording import FlightData, GroundTrack, Signal, Vector
+from analysis.report.curves.recording import FlightData, GroundTrack, Signal, Vector, inside_windows
 from analysis.report.curves.spectra import (
     Spectrogram,
     SpectrumPanel,
@@ -25,8 +25,6 @@ from analysis.report.page.packed_numbers import (
 from analysis.report.page.page_parts import ReportPage
 from analysis.report.page.series_colours import series_colours
 from analysis.report.page.uncertainty import track_sigma
-from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
-from mavproxy_fault.numerics.rotations.rotation import wrap_degrees
 
 # Angles whose curves are broken where they wrap.
 HEADINGS = {"yaw", "error-yaw", "instance-yaw"}
@@ -114,10 +112,9 @@ def tracks_in_flight(recording: FlightData) -> list[GroundTrack]:
         return placed
     found = []
     for track in placed:
-        inside = np.zeros(len(track.t_s), bool)
-        for start, end in armed:
-            # With a margin, so that take-off is shown if arming was logged late.
-            inside |= (track.t_s >= start - MARGIN_S) & (track.t_s <= end + MARGIN_S)
+        # With a margin, so that take-off is shown if arming was logged late.
+        shown = [(start - MARGIN_S, end + MARGIN_S) for start, end in armed]
+        inside = inside_windows(track.t_s, shown)
         if inside.sum() > 1:
             found.append(track.select(inside))
     return found
@@ -139,13 +136,7 @@ def _tracks(
     colours = series_colours([track.name for track in tracks])
     found = []
     for track, colour in zip(tracks, colours, strict=True):
-        # A flat earth is accurate enough for a map of one flight.
-        east = (
-            np.radians(wrap_degrees(track.lon_deg - lon0))
-            * MEAN_EARTH_RADIUS_M
-            * np.cos(np.radians(lat0))
-        )
-        north = np.radians(track.lat_deg - lat0) * MEAN_EARTH_RADIUS_M
+        north, east = track.metres_from(lat0, lon0)
         step = max(1, len(track.t_s) // TRACK_POINTS)
         axes: list[tuple[str, Vector]] = [("e", east), ("n", north), ("u", track.alt_m)]
         if (sigma := track_sigma(track, recording)) is not None:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from analysis.recordings.flight_logs.dataflash import HEAD, is_dataflash, read_dataflash
 from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
@@ -79,6 +80,7 @@ def _head(path: Path) -> bytes:
         raise ConfigError(f"{path}: {error.strerror}; give the path of a log") from error
 
 
+@np.errstate(invalid="ignore", over="ignore")  # a log may hold any bits as a number
 def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> RecordedFlight:
     """Read the flight in a group of paths.
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from analysis.field_maps.dataflash_map import DATAFLASH
 from analysis.recordings.flight_logs.dataflash import DataflashFile, Topic
+from analysis.report.curves.motor_outputs import outputs_by_function
 from analysis.report.curves.recording import (
     UNGRADED,
     Event,
@@ -21,7 +22,13 @@ from analysis.report.curves.recording import (
     Vector,
     value_spans,
 )
-from analysis.report.curves.vehicle_phase import ARDUPILOT, BUILDS, class_by_texts, mode_name
+from analysis.report.curves.vehicle_phase import (
+    ARDUPILOT,
+    BUILDS,
+    COPTER,
+    class_by_texts,
+    mode_name,
+)
 from analysis.report.recordings.event_names import ERRORS, EVENTS, FAILSAFE_REASONS
 from analysis.report.recordings.mapped_message import add_message
 from analysis.report.recordings.vehicle_identity import identity_by_messages
@@ -43,6 +50,7 @@ ERROR_SEVERITY = 3  # severity of an error
 GPS_EPOCH_US = 315_964_800_000_000  # 6 January 1980 in Unix time
 WEEK_US = 604_800_000_000
 LEAP_US = 18_000_000  # GPS is ahead of UTC since 2017
+LEAST_SPIN = 0.02  # chosen: MOT_SPIN_ARM is 0.1, a disarmed motor has no output
 ESTIMATORS = ("XKF4", "NKF4", "EKF4")
 
 
@@ -66,6 +74,7 @@ def recording_of_dataflash(log: DataflashFile, name: str, t0_us: int | None = No
     if refused and not any(span.lane == "armed" for span in found.spans):
         found.spans.append(Span("armed", 0.0, end_s, "disarmed", "mode"))
     _add_parameters(found, log, start_us)
+    _add_armed_by_motors(found)
     found.events.sort(key=lambda event: event.t_s)
     if log.cut:
         found.notes.append("the file ends within a message: the log is truncated")
@@ -165,6 +174,15 @@ def _add_armed(found: FlightData, log: DataflashFile, start_us: int) -> None:
         since = began
     if since is not None:
         found.spans.append(Span("armed", since, found.duration_s, "armed", "mode"))
+
+
+def _add_armed_by_motors(found: FlightData) -> None:
+    """Arming by a copter's motors, which turn while it is armed; nothing else may say it."""
+    motors = outputs_by_function(found) if found.vehicle == COPTER else []
+    if motors and not any(span.lane == "armed" for span in found.spans):
+        turning = np.max([motor.value for motor in motors], axis=0) > LEAST_SPIN
+        words = ["armed" if on else "disarmed" for on in turning.tolist()]
+        found.spans.extend(value_spans("armed", motors[0].t_s, words))
 
 
 def _lasting(lane: str, t_s: Vector, words: list[str], end_s: float) -> list[Span]:

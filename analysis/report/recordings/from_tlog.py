@@ -7,18 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.field_maps.tlog_map import TLOG
+from analysis.recordings.flight_logs.log_stamps import (
+    GROUND_STATION,
+    NO_AUTOPILOT,
+    WALL_US,
+    autopilot_component,
+)
+from analysis.recordings.flight_logs.message_clock import LogClock, clock_of
 from analysis.report.curves.recording import Event, FlightData, Message, local_track, value_spans
 from analysis.report.curves.vehicle_phase import ARDUPILOT, CLASSES, PX4, mode_name
 from analysis.report.recordings.event_names import STATES
 from analysis.report.recordings.link_quality import link_quality
-from analysis.report.recordings.log_clock import (
-    GROUND_STATION,
-    NO_AUTOPILOT,
-    WALL_US,
-    LogClock,
-    autopilot_component,
-    clock_of,
-)
 from analysis.report.recordings.mapped_message import add_message
 from analysis.report.recordings.text_severities import OLD_SEVERITIES, has_old_severities
 from analysis.report.recordings.vehicle_identity import identity_by_messages
@@ -95,7 +94,7 @@ def recording_of_tlog(
         # A log without vehicles is used entirely.
         own = {key: rows for key, rows in own.items() if len(rows)} if systems else columns
         own, warnings = _without_placeholder(own)
-        clock, notes = clock_of(own, system, t0_us)
+        clock, notes = clock_of(own, t0_us)
         notes += warnings
         found.notes.extend(notes)
         # A single vehicle's curves need no suffix.
@@ -140,7 +139,7 @@ def _utc0_us(columns: Columns, clock: LogClock) -> int:
     # Small timestamps count from boot.
     if first < WALL_US:
         return 0
-    return round(first - float(clock.at(np.array([first], float))[0]) * 1e6)
+    return round(first - float(clock.at(np.array([first]))[0]) * 1e6)
 
 
 def _without_placeholder(columns: Columns) -> tuple[Columns, list[str]]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.recordings.flight_logs.message_clock import LogClock
 from analysis.report.curves.recording import LinkQuality, Signal
-from analysis.report.recordings.log_clock import LogClock
 
 MOST_STRETCHES, LEAST_FRAMES = 200, 20  # chosen: periods per sender and block; frames per period
 FEWEST = 100  # chosen: least frames of a sender for a loss curve

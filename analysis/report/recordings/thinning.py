@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.recordings.flight_logs.dataflash_blocks import BLOCK_BYTES
+from analysis.recordings.flight_logs.log_stamps import StampState, steady_stamps
 from analysis.report.recordings.link_quality import LastFrame, sum_stretches
-from analysis.report.recordings.log_clock import StampState, steady_stamps
 from analysis.report.recordings.reading_bar import ReportProgress
 from mavproxy_fault.wire import tlog
 from mavproxy_fault.wire.tlog import Columns

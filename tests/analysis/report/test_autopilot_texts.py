@@ -19,6 +19,9 @@ def verdict(*texts: tuple[int, str]) -> str:
     ("severity", "text", "right"),
     [
         (6, "PrecLand: Failsafe Measures", "PASS"),
+        (UNGRADED, "PrecLand: Failsafe Measures", "PASS"),
+        (UNGRADED, "AutoTune: Failed", "PASS"),
+        (UNGRADED, "Terminating due to RC loss", "FAIL"),
         (6, "Crash check disabled", "PASS"),
         (4, "Crash check disabled", "PASS"),
         (5, "Failsafe: continuing mission", "WARN"),

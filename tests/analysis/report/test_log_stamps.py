@@ -151,3 +151,16 @@ def test_estimates_that_are_no_numbers_fail(tmp_path: Path) -> None:
     usual = [(t_us, blind(raw, t_us)) for t_us, raw in records()]
     found = checks(judged(tmp_path / "a.tlog", usual))
     assert found["estimates are numbers"] == ("FAIL", [(20.0, 40.0)])
+
+
+def test_samples_without_a_time_and_old_ones_do_not_stretch_the_axis(tmp_path: Path) -> None:
+    usual = records(boot_ms=400_000)
+    for at, old_us in ((3, 0), (5, 20_000_000)):
+        fix = build_frame(message_layout("GPS_RAW_INT"), {"time_usec": old_us, "fix_type": 3})
+        usual.insert(at, (usual[at][0], fix))
+    for i in range(100, len(usual), 100):
+        ms = 400_000 + round((usual[i][0] - NOON_US) * 1e-3)
+        fix = build_frame(message_layout("GPS_RAW_INT"), {"time_usec": ms * 1000, "fix_type": 3})
+        usual[i] = (usual[i][0], fix)
+    found = judged(tmp_path / "a.tlog", usual).flight.recording
+    assert found.duration_s == pytest.approx(SECONDS, abs=0.2)

@@ -29,6 +29,7 @@ FORMATS = {  # name: (type, struct code, dataflash code, columns)
     "EV": (13, "QB", "QB", "TimeUS,Id"),
     "MSG": (14, "Q64s", "QZ", "TimeUS,Message"),
     "PARM": (15, "Q16sf", "QNf", "TimeUS,Name,Value"),
+    "RCOU": (18, "QHHHH", "QHHHH", "TimeUS,C1,C2,C3,C4"),
     "VIBE": (16, "QfffI", "QfffI", "TimeUS,VibeX,VibeY,VibeZ,Clip"),
     "MAG": (17, "Qhhh", "Qhhh", "TimeUS,MagX,MagY,MagZ"),
 }
@@ -39,14 +40,21 @@ def row(name: str, *values: object) -> bytes:
     return HEAD + bytes((number,)) + struct.pack("<" + code, *values)
 
 
-def dataflash(path: Path, events: Mapping[int, int] = MappingProxyType({2_000_000: 10})) -> Path:
-    """Ten seconds of a copter that vibrates, armed from 1 s; `events` by their time in us."""
+def dataflash(
+    path: Path,
+    events: Mapping[int, int] = MappingProxyType({2_000_000: 10}),
+    turning_s: float | None = None,
+) -> Path:
+    """Ten seconds of a copter that vibrates, armed from 1 s; `events` by their time in us. Its
+    motors turn from `turning_s` on, if they are logged."""
     data = bytearray()
     for name, (number, code, form, columns) in FORMATS.items():
         length = 3 + struct.calcsize("<" + code)
         data += row("FMT", number, length, name.encode(), form.encode(), columns.encode())
     data += row("MSG", 1_000_000, b"ArduCopter V4.5")
     data += row("PARM", 1_000_000, b"INS_GYRO_FILTER", 20.0)
+    for i in range(1, 5):
+        data += row("PARM", 1_000_000, f"SERVO{i}_FUNCTION".encode(), 32.0 + i)
     data += row("MODE", 1_100_000, 5, 5, 1)
     for t_us, number in events.items():
         data += row("EV", t_us, number)
@@ -56,8 +64,20 @@ def dataflash(path: Path, events: Mapping[int, int] = MappingProxyType({2_000_00
         data += row("GPS", t_us, 3, 12, 0.8, 470_000_000 + tick, 80_000_000, 500.0, 0.1)
         data += row("VIBE", t_us, 5.0, 5.0, 70.0, 0)
         data += row("MAG", t_us, 300, 0, 400)
+        if turning_s is not None:
+            data += row("RCOU", t_us, *(4 * [1100 if tick >= 10 * turning_s else 1000]))
     path.write_bytes(bytes(data))
     return path
+
+
+@pytest.mark.parametrize(("turning_s", "armed"), [(20.0, []), (4.0, [4.0])])
+def test_without_events_a_copter_is_armed_while_its_motors_turn(
+    tmp_path: Path, turning_s: float, armed: list[float]
+) -> None:
+    path = dataflash(tmp_path / "a.bin", {}, turning_s)
+    found = armed_windows(read_flight([path], ()).recording)
+    assert found is not None
+    assert [round(start, 1) for start, _ in found] == armed
 
 
 def old_dataflash(path: Path) -> Path:
