@@ -28,6 +28,7 @@ SendListener = Callable[[list[Send]], None]  # receives the frames for monitor a
 STAMP_BYTES = slice(10, 18)  # time_usec in every message that steps the autopilot
 STEP_REPLY = message_layout("HIL_ACTUATOR_CONTROLS")
 STEP_REPLY_ID = STEP_REPLY.id.to_bytes(3, "little")
+BATTERY = message_layout("BATTERY_STATUS").id
 SIMULATOR_MESSAGES = {STEP_REPLY.id, message_layout("TUNNEL").id}
 
 
@@ -119,7 +120,11 @@ class AutopilotSender:
         if self._proxy_answers or self._pending_commands:
             self._send_pending(out)
         self.step_us = None
-        self._route_all(self.receive(SIMULATOR, b"".join(self._packer.frames(readings))), out)
+        raws = self._packer.frames(readings)
+        batteries = [raw for raw in raws if frame_message_id(raw) == BATTERY]
+        step = b"".join(raw for raw in raws if raw not in batteries)
+        for data in (step, *batteries):  # PX4 reads a battery on its telemetry only
+            self._route_all(self.receive(SIMULATOR, data), out)
         return out
 
     def finish_packed(self, data: bytes) -> list[bytes]:
@@ -203,7 +208,9 @@ class AutopilotSender:
 
     def _send_out(self, data: bytes, out: list[bytes]) -> None:
         """Send on the HIL link with the step, or at once on the telemetry link."""
-        if self._telemetry is not None and not is_hil_frame(data):
+        if self._telemetry is not None and (
+            not is_hil_frame(data) or frame_message_id(data) == BATTERY
+        ):
             self._telemetry.write(data)
             return
         out.append(data)

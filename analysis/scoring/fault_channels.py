@@ -21,7 +21,7 @@ ACTUATORS = "actuators"
 RECEIVER_NAMES = frozenset({POSITION, VELOCITY, "GPS", "clock"})
 RECEIVER_CHANNELS = frozenset({SATELLITES, POSITION, VELOCITY})
 EVERY_SATELLITE = "every satellite"
-GROUND_STATION = 255  # the system id of QGroundControl and of the operator of a run
+GROUND_STATIONS = (255, 245)  # QGroundControl, MAVProxy and the operator of a run; MAVSDK
 SATELLITE = re.compile(r"[GRECJSI]\d\d")
 
 
@@ -124,7 +124,7 @@ def _own_visibility(label: Label) -> FaultVisibility:
         return RECEIVER_VISIBILITY
     if label.fault in HARMLESS_FAULTS:
         return FaultVisibility(frozenset(), reason=HARMLESS_FAULTS[label.fault])
-    if label.where.get("system") == GROUND_STATION:
+    if label.where.get("system") in GROUND_STATIONS:
         return FaultVisibility(frozenset(), reason="no channel monitors a ground station's frames")
     if not label.targets:
         return _link_visibility(label)

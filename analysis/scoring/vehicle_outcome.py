@@ -46,12 +46,12 @@ FALL_MPS2 = 1.5 * STANDARD_GRAVITY_MPS2  # a datum that steps "falls" faster tha
 FALL_STEPS = 3  # over these many steps
 COMMAND_S = 3.0  # chosen: a mode follows its command within this time
 REASON_S = 2.0  # chosen: an autopilot explains a change of mode within this time
-# Neither matches a setting ("Crash check disabled"), nor the end of a failsafe.
+# None matches a setting ("Crash check disabled"), the end of a failsafe, or PX4's mere warning.
 CRASH_TEXT = re.compile(r"\bcrash(:|ed\b| detected| check\b(?!.*(dis|en)abled))", re.IGNORECASE)
 # ArduPilot's simulator reports every touchdown, with its speed.
 HIT_GROUND = re.compile(r"hit ground(?: at (-?\d+(?:\.\d+)?))?", re.IGNORECASE)
 FAILSAFE_TEXT = re.compile(
-    r"fail-?safe(?!.*(clear|off|recover|resolved|disabled|enabled|deactivated|set to))",
+    r"fail-?safe(?!.*(clear|off|recover|resolved|disabled|enabled|deactivated|set to|warning))",
     re.IGNORECASE,
 )
 SAFETY_MODES = frozenset(

@@ -7,7 +7,7 @@ autopilot run in lockstep. Until ArduPilot requests its first line the simulator
 from collections.abc import Callable
 
 from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
-from mavproxy_fault.ardupilot.feeding.companion import CompanionFeed
+from mavproxy_fault.ardupilot.feeding.companion import CompanionFeed, set_parameter
 from mavproxy_fault.ardupilot.feeding.json_physics import ServoPacket, read_servos
 from mavproxy_fault.ardupilot.feeding.sensor_feed import SensorFeed
 from mavproxy_fault.ardupilot.outputs import MODE_ARMED, Channels, actuator_frame
@@ -17,6 +17,8 @@ from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
+RADIO_LOST_US = 500_000  # as PX4's COM_RC_LOSS_T
+FOREVER_US = 1 << 62
 ANSWERS, TELEMETRY = 0, 1  # stream numbers of returned data: a frame never spans both
 
 ReplyHandler = Callable[[int, bytes], None]
@@ -66,6 +68,7 @@ class Bridge:
         self._sent_us: int | None = None  # time of the step that ArduPilot is processing
         self._line_requested = False  # ArduPilot waits for a line
         self._accepted = -1
+        self._radio_us, self._radio_heard = FOREVER_US, True  # unless there is a remote control
 
     def descriptors(self) -> dict[int, Callable[[], None]]:
         """Return the descriptors of ArduPilot's ports with their handlers."""
@@ -90,6 +93,11 @@ class Bridge:
         """Process a frame of the HIL link."""
         if self._readings.update(frame):
             self._end_step()
+        elif frame.layout.name == "RC_CHANNELS":
+            self._radio_us = self.t_us
+        elif frame.layout.name == "BATTERY_STATUS":
+            if (voltage_v := self._readings.battery_v) is not None:
+                self._mavlink.write(set_parameter("SIM_BATT_VOLTAGE", voltage_v))
         elif (raw := self._companion.step(frame, self.t_us)) is not None:
             self._mavlink.write(raw)
 
@@ -100,6 +108,10 @@ class Bridge:
         self.steps, self.t_us = self.steps + 1, truth.t_us
         fed = self._feed.step(self._readings, truth, self._sensor.outputs)
         self._readings.begin_step()
+        if (heard := truth.t_us - self._radio_us < RADIO_LOST_US) != self._radio_heard:
+            # SITL has its own receiver, with the sticks at rest.
+            self._radio_heard = heard
+            self._mavlink.write(set_parameter("SIM_RC_FAIL", not heard))
         self._sensor.write(fed.vectornav)
         self._line = truth.t_us, fed.physics
         if (request := self._preparation.due(truth.t_us)) is not None:

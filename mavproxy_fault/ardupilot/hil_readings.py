@@ -35,13 +35,6 @@ class HilImu(NamedTuple):
     temperature_c: float
 
 
-class HilBattery(NamedTuple):
-    """One BATTERY_STATUS."""
-
-    voltage_v: float
-    current_a: float
-
-
 class TrueState(NamedTuple):
     """One HIL_STATE_QUATERNION."""
 
@@ -67,7 +60,8 @@ class Readings:
     imus : dict of int to HilImu
         By HIL_SENSOR.id.
     truth : TrueState or None
-    battery : HilBattery or None
+    battery_v : float or None
+        Voltage of the first battery.
     fresh_imu : bool
         A HIL_SENSOR of id 0 with new samples was received since `begin_step`.
     fixes : list of Frame
@@ -79,7 +73,7 @@ class Readings:
     def __init__(self) -> None:
         self.imus: dict[int, HilImu] = {}
         self.truth: TrueState | None = None
-        self.battery: HilBattery | None = None
+        self.battery_v: float | None = None
         self.fresh_imu = False
         self.fixes: list[Frame] = []
         self.updated = 0
@@ -97,7 +91,7 @@ class Readings:
         elif name == "HIL_GPS":
             self.fixes.append(frame)
         elif name == "BATTERY_STATUS":
-            self.battery = read_battery(frame) or self.battery
+            self.battery_v = read_battery(frame) or self.battery_v
         elif name == "HIL_STATE_QUATERNION":
             t_us, w, x, y, z, _, _, _, lat, lon, alt, vx, vy, vz = _TRUTH.unpack_from(
                 frame.payload.ljust(_TRUTH.size, b"\0")
@@ -123,14 +117,11 @@ class Readings:
         self.fresh_imu |= number == 0 and updated & INERTIAL == INERTIAL
 
 
-def read_battery(frame: Frame) -> HilBattery | None:
-    """Decode a BATTERY_STATUS of the first battery; None without voltage or current."""
+def read_battery(frame: Frame) -> float | None:
+    """Return the voltage of the first battery in a BATTERY_STATUS; None without one."""
     cells_mv = [frame.number("voltages", cell) for cell in range(CELLS)]
     known_mv = [voltage_mv for voltage_mv in cells_mv if voltage_mv != NO_CELL]
-    current_ca = frame.number("current_battery")  # in 0.01 A, -1 if not measured
-    if frame.number("id") != ID_BATTERY or not known_mv or current_ca == -1:
-        return None
-    return HilBattery(sum(known_mv) / MV_PER_V, current_ca * 0.01)
+    return sum(known_mv) / MV_PER_V if frame.number("id") == ID_BATTERY and known_mv else None
 
 
 def true_airspeed(imu: HilImu) -> float:

@@ -15,6 +15,9 @@ from mavproxy_fault.documents.errors import ConfigError
 VehicleKind = Literal["copter", "plane"]
 VEHICLE_KINDS: tuple[VehicleKind, ...] = ("copter", "plane")
 EAHRS_ALL = 15  # EAHRS_SENSORS: GPS, IMU, barometer, compass
+# Of the full voltage: a lithium-polymer cell in hover with 7 and with 5 percent of its charge,
+# at which PX4 returns and lands (BAT_CRIT_THR, BAT_EMERGEN_THR)
+RETURN_SHARE, LAND_SHARE = 0.78, 0.75
 LOOP_HZ = {"copter": 400, "plane": 100}  # highest SCHED_LOOP_RATE that the bridge sets
 
 SENSORS = {
@@ -39,7 +42,7 @@ SENSORS = {
     "BATT_MONITOR": 0,
     "SIM_FLOAT_EXCEPT": 0,  # a NaN reaches the estimator, as on hardware, without a trap
     "FS_THR_ENABLE": 0,  # there is no RC transmitter
-    "FS_GCS_ENABLE": 0,
+    "FS_GCS_ENABLE": 1,  # return, as PX4's NAV_DLL_ACT in a run
     "LOG_DISARMED": 1,
     # streams of the first serial device, Hz: estimates for the recordings and the reports
     "SR0_EXTRA1": 20,
@@ -98,6 +101,8 @@ class AvailableSensors:
     rangefinder: bool
     flow: bool = False
     vision: bool = False
+    remote_control: bool = False
+    battery_v: float | None = None
 
 
 def bridge_parameters(kind: VehicleKind, sensors: AvailableSensors) -> dict[str, float]:
@@ -116,6 +121,16 @@ def bridge_parameters(kind: VehicleKind, sensors: AvailableSensors) -> dict[str,
         values |= {"FLOW_TYPE": 5, "FLOW_FXSCALER": SCALER, "FLOW_FYSCALER": SCALER}
     if sensors.vision:  # by MAVLink; the user selects what EKF3 uses (EK3_SRC1_*)
         values["VISO_TYPE"] = 1
+    if sensors.remote_control:
+        values["FS_THR_ENABLE"] = 1  # its loss means return
+    if sensors.battery_v is not None:
+        values |= {
+            "BATT_MONITOR": 4,
+            "BATT_LOW_VOLT": RETURN_SHARE * sensors.battery_v,
+            "BATT_FS_LOW_ACT": 2,  # return
+            "BATT_CRT_VOLT": LAND_SHARE * sensors.battery_v,
+            "BATT_FS_CRT_ACT": 1,  # land
+        }
     return values
 
 

@@ -76,6 +76,8 @@ class SensorDiscovery:
             rangefinder=("DISTANCE_SENSOR", 0) in self._sensors,
             flow=("HIL_OPTICAL_FLOW", 0) in self._sensors,
             vision=any((name, 0) in self._sensors for name in VISION),
+            remote_control=("RC_CHANNELS", 0) in self._sensors,
+            battery_v=self._readings.battery_v,
         )
 
 

@@ -38,10 +38,10 @@ Senders = MutableSequence[int]
 def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> int:
     """Return the vehicle time in microseconds of a frame received at wall time `now_us`.
 
-    A frame without a timestamp (0) gets the newest time of its system, else of any system; before
-    the first timestamp, wall time. A timestamp that jumps by more than ten seconds, and further
-    than the wall clock, is unconfirmed and counted: its frame gets the newest time, until the next
-    timestamp of that clock confirms the jump.
+    A frame without a timestamp (0) gets the newest time of its system, or of any system if its own
+    has none of the last ten seconds; before the first timestamp, wall time. A timestamp that jumps
+    by more than ten seconds, and further than the wall clock, is unconfirmed and counted: its frame
+    gets the newest time, until the next timestamp of that clock confirms the jump.
 
     Parameters
     ----------
@@ -54,9 +54,12 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
     """
     newest_at = SYSTEM_TIME + (sender >> 8)
     if stamp_us == 0:
-        if senders[newest_at] != UNKNOWN:
-            return senders[newest_at]
-        return now_us if senders[T0] == UNKNOWN else senders[NEWEST_TIME]
+        if senders[T0] == UNKNOWN:
+            return now_us
+        own_us, newest_us = senders[newest_at], senders[NEWEST_TIME]
+        # A ground station may stamp a single frame, at its start.
+        recent = own_us != UNKNOWN and newest_us - own_us <= MAX_TIME_JUMP_US
+        return own_us if recent else newest_us
     clock = sender << 1 | (1 if stamp_us >= UNIX_TIME_FROM_US else 0)
     shift = senders[CLOCK_OFFSET + clock]
     if shift == UNKNOWN:

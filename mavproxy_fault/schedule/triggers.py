@@ -47,19 +47,14 @@ ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 PX4 = 12  # MAV_AUTOPILOT
 NO_AUTOPILOT = 8  # MAV_AUTOPILOT_INVALID: ground stations, cameras and the like
 # PX4's custom_mode: main mode in bits 16 to 23, sub mode in bits 24 to 31 (px4_custom_mode.h).
-PX4_MAIN = ("", "MANUAL", "ALTCTL", "POSCTL", "AUTO", "ACRO", "OFFBOARD", "STABILIZED", "RATTITUDE")
-PX4_AUTO = (
-    "",
-    "READY",
-    "TAKEOFF",
-    "LOITER",
-    "MISSION",
-    "RTL",
-    "LAND",
-    "RTGS",
-    "FOLLOW",
-    "PRECLAND",
-)
+PX4_MAIN = {
+    1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED",
+    8: "RATTITUDE", 9: "SIMPLE", 10: "TERMINATION", 11: "ALTITUDE CRUISE",
+}  # fmt: skip
+PX4_AUTO = {
+    1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND", 7: "RTGS",
+    8: "FOLLOW", 9: "PRECLAND", 10: "VTOL TAKEOFF", 19: "GUIDED COURSE", 20: "DESCEND",
+}  # fmt: skip
 KEYWORDS: Mapping[str, str] = {
     "armed": "HEARTBEAT",
     "mode": "HEARTBEAT",
@@ -262,11 +257,8 @@ def flight_mode(heartbeat: Frame) -> str | int:
     if heartbeat.number("autopilot") != PX4:
         return number
     main, sub = number >> 16 & 0xFF, number >> 24 & 0xFF
-    name = PX4_MAIN[main] if main < len(PX4_MAIN) else str(main)
-    # Sub mode 0 means none.
-    if name == "AUTO" and 0 < sub < len(PX4_AUTO):
-        return f"AUTO.{PX4_AUTO[sub]}"
-    return name
+    name = PX4_MAIN.get(main, str(main))
+    return f"AUTO.{PX4_AUTO[sub]}" if name == "AUTO" and sub in PX4_AUTO else name
 
 
 def altitude_m(position: Frame) -> float:

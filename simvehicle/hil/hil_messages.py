@@ -18,6 +18,7 @@ from simvehicle.sensors.readings import (
     FlowReading,
     GpsReading,
     RangeReading,
+    RemoteControlReading,
     VisionReading,
 )
 
@@ -32,6 +33,7 @@ BODY_FRD = 12  # MAV_FRAME_BODY_FRD
 VISION = 2  # MAV_ESTIMATOR_TYPE_VISION
 UNUSED_CELLS = (0xFFFF,) * 9  # BATTERY_STATUS.voltages after the first: the pack counts as one cell
 TEMPERATURE_UNKNOWN = 0x7FFF
+STRONGEST_RSSI = 254  # of RC_CHANNELS.rssi
 
 HIL_GPS = message_layout("HIL_GPS")
 DISTANCE_SENSOR = message_layout("DISTANCE_SENSOR")
@@ -39,6 +41,7 @@ HIL_OPTICAL_FLOW = message_layout("HIL_OPTICAL_FLOW")
 ODOMETRY = message_layout("ODOMETRY")
 VISION_POSITION_ESTIMATE = message_layout("VISION_POSITION_ESTIMATE")
 BATTERY_STATUS = message_layout("BATTERY_STATUS")
+RC_CHANNELS = message_layout("RC_CHANNELS")
 
 
 def make_message(name: str, **values: object) -> Message:
@@ -185,6 +188,17 @@ def battery_status(reading: BatteryReading, consumed_mah: float) -> Message:
     }
 
 
+def rc_channels(reading: RemoteControlReading, t_us: int) -> Message:
+    """RC_CHANNELS: what a remote control's receiver outputs."""
+    values = {f"chan{number}_raw": width for number, width in enumerate(reading.channels_us, 1)}
+    return RC_CHANNELS, {
+        "time_boot_ms": t_us // 1000 & 0xFFFFFFFF,
+        "chancount": len(values),
+        "rssi": STRONGEST_RSSI,
+        **values,
+    }
+
+
 @lru_cache(maxsize=8)
 def _covariance_triangle(variance: float) -> tuple[float, ...]:
     """Upper triangle of a 6x6 covariance: three equal variances, then three unknown ones (NaN)."""
@@ -198,4 +212,5 @@ READING_MESSAGES: dict[type, Callable[[Any, int], Message]] = {
     RangeReading: distance_sensor,
     FlowReading: hil_optical_flow,
     VisionReading: vision_message,
+    RemoteControlReading: rc_channels,
 }

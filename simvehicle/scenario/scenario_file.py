@@ -32,6 +32,7 @@ from simvehicle.sensors.gps import Gps
 from simvehicle.sensors.imu import ImuSensor
 from simvehicle.sensors.magnetometer import Magnetometer
 from simvehicle.sensors.rangefinder import Rangefinder
+from simvehicle.sensors.remote_control import RemoteControl
 from simvehicle.sensors.vision import Vision
 
 Shape = Literal["triangle", "diamond", "s", "eight", "trapezoid", "circle", "line"]
@@ -151,6 +152,7 @@ class SensorSuite(_Section, frozen=True):
     flow: OpticalFlow | None = None
     vision: Vision | None = None
     battery: BatteryMonitor | None = None
+    remote_control: RemoteControl | None = None
 
 
 class Scenario(_Section, frozen=True):

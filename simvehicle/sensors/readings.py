@@ -98,6 +98,13 @@ class BatteryReading(msgspec.Struct, frozen=True, gc=False):
     remaining: float
 
 
+class RemoteControlReading(msgspec.Struct, frozen=True, gc=False):
+    """Pulse widths of a remote control's channels [us]."""
+
+    t_us: int
+    channels_us: tuple[int, ...]
+
+
 Reading = (
     GpsReading
     | PseudorangeReading
@@ -106,4 +113,5 @@ Reading = (
     | FlowReading
     | VisionReading
     | BatteryReading
+    | RemoteControlReading
 )

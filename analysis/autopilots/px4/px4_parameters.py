@@ -6,6 +6,14 @@ from simvehicle.vehicles.multirotor.multirotor import Multirotor
 AIRFRAMES = {"multirotor": "none_iris", "fixedwing": "gazebo-classic_plane"}
 MOTOR_FUNCTION = 101  # PWM_MAIN_FUNC of the first motor
 RC_DISABLED = 4  # COM_RC_IN_MODE
+REMOTE_CONTROL = {  # sticks on the first four channels; their loss means return (NAV_RCL_ACT)
+    "COM_RC_IN_MODE": 0,
+    "RC_CHAN_CNT": 8,
+    "RC_MAP_ROLL": 1,
+    "RC_MAP_PITCH": 2,
+    "RC_MAP_THROTTLE": 3,
+    "RC_MAP_YAW": 4,
+}
 PLANE_PARAMETERS = {  # for a plane that is faster than PX4's default airframe
     "FW_AIRSPD_MIN": 18,
     "FW_AIRSPD_TRIM": 25,
@@ -41,8 +49,13 @@ def run_parameters(simulation: Simulation, height_m: float) -> dict[str, float]:
     values: dict[str, float] = {
         "MAV_SYS_ID": 1,
         "COM_RC_IN_MODE": RC_DISABLED,
+        "NAV_DLL_ACT": 2,  # without a ground station it returns, as ArduPilot does
         "MIS_TAKEOFF_ALT": height_m,
     }
+    if simulation.scenario.sensors.remote_control is not None:
+        values |= REMOTE_CONTROL
+    if simulation.scenario.sensors.battery is not None:
+        values["SIM_BAT_DRAIN"] = 0  # not PX4's own simulated battery
     offset_pa = simulation.pitot_offset_pa()
     if offset_pa is not None:
         # The calibration of an operator: PX4 would take a plane with an offset for flying, and

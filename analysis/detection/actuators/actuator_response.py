@@ -66,6 +66,7 @@ GAP_US = 500_000  # without an IMU sample the motion begins anew
 LATE_US, IRREGULAR_BINS, LAG_SHARE = 60_000, 10, 0.02
 SPARSE_COMMAND_US = 60_000  # longer intervals hide what motors (lag 40 ms) do in between
 MOST_COMMAND = 100.0  # no output exceeds 1; larger values come from corrupted logs
+IMPACT_BINS = 50  # 5 s; chosen: until a vehicle that has hit the ground lies still
 # r above which learning pauses, below LEAST_EXPLAINED, and for how many bins at most; chosen
 DOUBT_STATISTIC, MOST_DOUBTFUL_BINS = 12.0, 200
 
@@ -151,7 +152,10 @@ class ActuatorResponse:
         if abs(late_us) > GAP_US:
             self._begin_flight()
         impact = math.hypot(*values[3:6].tolist()) > IMPACT_MPS2
-        if impact and self.isolated != NO_HYPOTHESES and self.crash_us == FOREVER_US:
+        if impact and self.isolated == NO_HYPOTHESES:
+            # What moves the vehicle is then what it has hit, not its actuators.
+            self.irregular_left = IMPACT_BINS
+        elif impact and self.crash_us == FOREVER_US:
             self.crash_us = t_us
         full = self.bins.add_imu_sample(t_us, values)
         if full is None:

@@ -2,9 +2,10 @@
 
 All of them measure the same, so the differences of their means over a window are constant:
 mounting, calibration. Two differences that change together isolate the sensor that both have in
-common; the difference of only two sensors shows that one of them is faulty, but not which. IMUs
-vote on rates and forces, magnetometers on the field along the vehicle's axes, barometers on the
-altitude, receivers on position. A silent additional magnetometer or barometer is reported too.
+common; the difference of only two sensors shows that one of them is faulty, but not which. Noise
+that one sensor alone has gained isolates that one, also of two. IMUs vote on rates and forces,
+magnetometers on the field along the vehicle's axes, barometers on the altitude, receivers on
+position. A silent additional magnetometer or barometer is reported too.
 """
 
 from collections.abc import Iterator
@@ -39,6 +40,8 @@ MOST_INSTANCES = 3  # of one kind
 LEARNED_WINDOWS, MEMORY_WINDOWS = 10, 60  # before the first test, of the usual difference
 CHANGE_SIGMAS, CONFIRM_WINDOWS = 8.0, 3  # windows in a row; chosen on benchmarks/instance_votes.py
 STANDARD_ERRORS = 4.0  # of the difference of two means: vibration is not the same everywhere
+NOISE_GAIN = np.log(16.0)  # of a variance: four times the usual noise, which no flight adds to one
+QUIETEST = 1e-18  # a variance, far below the resolution of any sensor: one that repeats its value
 PAIRS = tuple(combinations(range(MOST_INSTANCES), 2))
 METRES_PER_PASCAL = 0.0843  # ICAO standard atmosphere at sea level
 
@@ -65,13 +68,19 @@ VOTERS = (
 
 
 @dataclass
-class InstanceDifference:
-    """Mean and mean square (n,) of the difference of two sensors, windows, outliers in a row."""
+class UsualValue:
+    """Mean and mean square (n,) of the difference of two sensors, or of the logarithm of a sensor's
+    variance; windows, and outliers in a row."""
 
     mean: Vector
     square: Vector
     windows: int = 0
     outliers: int = 0
+
+
+def new_usual(count: int) -> UsualValue:
+    """Nothing is known of `count` values."""
+    return UsualValue(np.zeros(count), np.zeros(count))
 
 
 class VoteState:
@@ -86,9 +95,8 @@ class VoteState:
         self.newest = np.full((MOST_INSTANCES, count), np.nan)
         self.meridian_rad = np.nan  # longitudes are compared near that of the first fix
         self.missing = np.zeros(MOST_INSTANCES, int)  # windows in a row without a sample
-        self.differences = {
-            pair: InstanceDifference(np.zeros(count), np.zeros(count)) for pair in PAIRS
-        }
+        self.noise = [new_usual(count) for _ in range(MOST_INSTANCES)]
+        self.differences = {pair: new_usual(count) for pair in PAIRS}
 
 
 class InstanceVoteDetector(BlockDetector, frozen=True):
@@ -199,6 +207,9 @@ def _vote_window(t_us: int, voters: VoterKind, state: VoteState) -> list[SensorD
             np.maximum(voters.limits, STANDARD_ERRORS * np.sqrt(error[i] + error[j])),
         )
     }
+    noisy = _noisy({i: error[i] * state.counts[i] for i in sampled}, state)
+    if len(noisy) == 1:
+        return [_result(t_us, voters, noisy, "is noisy, unlike the others")]
     outvoted = [
         i
         for i in sampled
@@ -209,6 +220,22 @@ def _vote_window(t_us: int, voters: VoterKind, state: VoteState) -> list[SensorD
     if len(sampled) == 2 and outliers:
         return [_result(t_us, voters, sampled, "disagree")]
     return []
+
+
+def _noisy(variances: dict[int, Vector], state: VoteState) -> list[int]:
+    """The sensors that have gained noise while no other has, by their variances (n,)."""
+    gains = {i: np.log(variances[i] + QUIETEST) - state.noise[i].mean for i in variances}
+    found = []
+    for i, gain in gains.items():
+        known = state.noise[i]
+        others = [gains[j] for j in gains if j != i and state.noise[j].windows >= LEARNED_WINDOWS]
+        excess = gain - np.max([np.zeros(len(gain)), *others], axis=0)
+        if known.windows >= LEARNED_WINDOWS and others and (excess > NOISE_GAIN).any():
+            known.outliers += 1
+            found += [i] if known.outliers >= CONFIRM_WINDOWS else []
+        else:
+            _learn(known, gain)
+    return found
 
 
 def _silent(state: VoteState) -> list[int]:
@@ -223,7 +250,7 @@ def _silent(state: VoteState) -> list[int]:
     ]
 
 
-def _is_off(difference: Vector, known: InstanceDifference, limits: Vector) -> bool:
+def _is_off(difference: Vector, known: UsualValue, limits: Vector) -> bool:
     """Whether a difference (n,) has changed; it is learned while it has not."""
     change = difference - known.mean
     limit = np.maximum(limits, CHANGE_SIGMAS * np.sqrt(known.square))
@@ -231,13 +258,18 @@ def _is_off(difference: Vector, known: InstanceDifference, limits: Vector) -> bo
     if known.windows >= LEARNED_WINDOWS and (np.abs(change) > limit).any():
         known.outliers += 1
         return known.outliers >= CONFIRM_WINDOWS
+    _learn(known, change)
+    return False
+
+
+def _learn(known: UsualValue, change: Vector) -> None:
+    """Add a window's change (n,) to what is usual."""
     known.outliers = 0
     known.windows += 1
     # A plain mean at first, then one over MEMORY_WINDOWS.
     share = 1.0 / min(known.windows, MEMORY_WINDOWS)
     known.mean = known.mean + share * change
     known.square = known.square + share * (change**2 * (1.0 - share) - known.square)
-    return False
 
 
 def _result(t_us: int, voters: VoterKind, instances: list[int], text: str) -> SensorDecision:

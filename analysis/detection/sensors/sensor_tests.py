@@ -9,8 +9,9 @@ uncertain:
     v' inv(H_b P_b H_b' + R) v  is compared with chi-square(m),
 
 with a false-alarm probability of its own (`p_other`). A sensor that fails several times in a row is
-isolated until it has been healthy for `readmit_s`; its slow states are frozen meanwhile. Each
-sensor's prediction is in `sensor_models`.
+isolated until it has been healthy for `readmit_s`; its slow states are frozen meanwhile. One that
+agrees again with the slow states of its first half minute has returned from a drift: it is healthy
+at once. Each sensor's prediction is in `sensor_models`.
 
 `NavigationDetector` contains the detector: it returns the results of both.
 """
@@ -20,6 +21,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import itemgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -83,6 +85,8 @@ class SensorState:
     z: Vector = field(default_factory=lambda: np.empty(0))
     slow: SlowStates | None = None
     slow_us: int = NEVER_US
+    begun_us: int = NEVER_US  # when its slow states were started
+    first: SlowStates | None = None  # those that it had once its noise was known
     fails: int = 0
     isolated: bool = False
     healthy_us: int = NEVER_US
@@ -265,21 +269,28 @@ class NavigationDetector:
         if slow is None or isinstance(outcome, SlowStates):
             assert isinstance(outcome, SlowStates)
             state.slow = outcome
+            if state.begun_us == NEVER_US:
+                state.begun_us = epoch_us
             return None
-        v, r, h = outcome
-        p = slow.p + model.walk**2 * elapsed_s * np.eye(len(slow.b))
-        ph = p @ h.T
-        inverse = invert_positive_definite(h @ ph + r)
-        statistic, threshold = float(v @ inverse @ v), self._thresholds[len(v)]
-        failed = not statistic <= threshold
+        tested = _test_innovation(outcome, slow, model.walk**2 * elapsed_s)
+        threshold = self._thresholds[len(outcome[0])]
+        if not tested.statistic <= threshold and state.first is not None:
+            begun = model.innovation(state.z, view, state.first.b, late_s, sigma)
+            if not isinstance(begun, str | SlowStates):
+                returned = _test_innovation(begun, state.first, model.walk**2 * elapsed_s)
+                if returned.statistic <= threshold:
+                    tested, slow, state.isolated = returned, state.first, False
+        statistic, failed = tested.statistic, not tested.statistic <= threshold
         # A field of the right size in the wrong direction may be due to the attitude, which is the
         # IMU's fault. Written so that NaN is the sensor's own.
         resized = abs(math.hypot(*state.z[:3]) - math.hypot(*slow.b))
         own = name != "mag" or not resized <= SIZE_SIGMAS * sigma
         state.count_failure(failed, own, epoch_us, self.config.readmit_s * 1e6)
         if not failed and not state.isolated:  # else the slow states are frozen
-            gain = ph @ inverse
-            state.slow = SlowStates(slow.b + gain @ v, p - gain @ ph.T)
+            gain, v = tested.ph @ tested.inverse, tested.v
+            state.slow = SlowStates(slow.b + gain @ v, tested.p - gain @ tested.ph.T)
+            if state.first is None and epoch_us - state.begun_us >= NOISE_MEMORY_S * 1e6:
+                state.first = state.slow
             share = min(elapsed_s / NOISE_MEMORY_S, 1.0) / len(v)
             for one in v.tolist():
                 state.variance += share * (one**2 - state.variance)
@@ -288,10 +299,32 @@ class NavigationDetector:
             sensor=name,
             statistic=statistic if math.isfinite(statistic) else None,
             threshold=threshold,
-            dof=len(v),
+            dof=len(tested.v),
             alarm=failed,
             isolated=state.isolated,
         )
+
+
+class InnovationTest(NamedTuple):
+    """Innovation v (m,), its statistic and inverse covariance (m, m); covariance p (n, n) of the
+    slow states, and p h' (n, m)."""
+
+    v: Vector
+    statistic: float
+    inverse: Vector
+    p: Vector
+    ph: Vector
+
+
+def _test_innovation(
+    outcome: tuple[Vector, Vector, Vector], slow: SlowStates, walked: float
+) -> InnovationTest:
+    """Test a sensor's innovation with slow states whose variance has grown by `walked`."""
+    v, r, h = outcome
+    p = slow.p + walked * np.eye(len(slow.b))
+    ph = p @ h.T
+    inverse = invert_positive_definite(h @ ph + r)
+    return InnovationTest(v, float(v @ inverse @ v), inverse, p, ph)
 
 
 _OF_SENSORS = np.isin(np.arange(len(KINDS)), list(SENSORS_OF))  # by kind of sample

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from analysis.report.curves.recording import FlightData, Signal
+from mavproxy_fault.schedule.triggers import PX4_AUTO, PX4_MAIN
 
 Windows = list[tuple[float, float]]
 
@@ -37,14 +38,6 @@ BUILDS = {1: ROVER, 2: COPTER, 3: PLANE, 4: TRACKER, 7: SUB, 12: BLIMP, 13: HELI
 PX4_TYPES = {1: COPTER, 2: PLANE, 3: ROVER, 4: BLIMP}  # vehicle_status.vehicle_type
 ARDUPILOT, PX4 = 3, 12
 
-PX4_MAIN = {
-    1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OFFBOARD", 7: "STABILIZED",
-    8: "RATTITUDE", 9: "SIMPLE", 10: "TERMINATION", 11: "ALTITUDE CRUISE",
-}  # fmt: skip
-PX4_AUTO = {
-    1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND", 8: "FOLLOW",
-    9: "PRECLAND", 10: "VTOL TAKEOFF",
-}  # fmt: skip
 COPTER_MODES = {
     0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL",
     7: "CIRCLE", 8: "POSITION", 9: "LAND", 10: "OF_LOITER", 11: "DRIFT", 13: "SPORT", 14: "FLIP",

@@ -31,6 +31,7 @@ TRUTH = "HIL_STATE_QUATERNION"
 SHOWN = {name for name, lines in TLOG.items() if any(line.is_curve for line in lines)}
 TURNING_RPS = 0.05  # chosen: a larger range of a gyroscope means rotation
 SET_MODE = 176  # MAV_CMD_DO_SET_MODE
+SIMULATOR = 51  # component of a HIL simulator
 MODE_COMMANDS = {
     20: "RTL", 21: "LAND", 22: "TAKEOFF", 84: "TAKEOFF", 85: "LAND", 192: "reposition",
     193: "pause", 300: "mission",
@@ -221,7 +222,8 @@ def _message(vehicle: _Vehicle, rows: NDArray[np.void]) -> Message:
 def _commanded_modes(columns: Columns, vehicle: _Vehicle) -> list[Event]:
     """The commands to a vehicle that change its mode; none where a remote control may change it."""
     remote = vehicle.columns.get("RC_CHANNELS")
-    if remote is not None and remote["chancount"].any():
+    # That of a simulator has sticks only.
+    if remote is not None and remote["chancount"][remote["component"] != SIMULATOR].any():
         return []
     found = []
     for message in ("COMMAND_LONG", "COMMAND_INT", "SET_MODE"):

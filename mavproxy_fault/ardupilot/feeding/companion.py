@@ -19,6 +19,8 @@ from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 
 GPS_INPUT = message_layout("GPS_INPUT")
+PARAM_SET, REAL32 = message_layout("PARAM_SET"), 9  # MAV_PARAM_TYPE_REAL32
+GROUND_STATION = 255
 WEEK_US = 604_800_000_000  # of GPS time
 LOCAL_NED, LOCAL_FRD = 1, 20  # MAV_FRAME_
 COVARIANCES = {"ODOMETRY": "pose_covariance", "VISION_POSITION_ESTIMATE": "covariance"}
@@ -59,6 +61,18 @@ def adapt_vision_pose(frame: Frame) -> Frame:
     if frame.layout.name == "ODOMETRY" and frame.number("frame_id") == LOCAL_NED:
         values["frame_id", 0] = LOCAL_FRD
     return frame.patched(values) if values else frame
+
+
+def set_parameter(name: str, value: float) -> bytes:
+    """Encode a PARAM_SET of the ground station."""
+    values = {
+        "target_system": 1,
+        "target_component": 1,
+        "param_id": name.encode(),
+        "param_value": value,
+        "param_type": REAL32,
+    }
+    return build_frame(PARAM_SET, values, system=GROUND_STATION)
 
 
 def build_gps_input(frame: Frame) -> bytes:

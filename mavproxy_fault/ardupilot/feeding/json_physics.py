@@ -35,7 +35,6 @@ class BodyState(NamedTuple):
     q_nb: Sequence[float]
     v_ned_mps: Sequence[float]
     airspeed_mps: float | None = None  # true airspeed
-    battery_va: Sequence[float] | None = None  # V and A, ignored by early versions
 
 
 def read_servos(data: bytes) -> ServoPacket | None:
@@ -59,9 +58,6 @@ def state_line(state: BodyState) -> bytes:
     )
     if state.airspeed_mps is not None:
         text += f',"airspeed":{state.airspeed_mps:.6g}'
-    if state.battery_va is not None:
-        voltage_v, current_a = state.battery_va
-        text += f',"battery":{{"voltage":{voltage_v:.6g},"current":{current_a:.6g}}}'
     return (text + "}\n").encode()
 
 

@@ -84,9 +84,7 @@ class SensorFeed:
             packets += self._packets("estimate", outputs)
         second = readings.imus.get(1, first)
         airspeed = true_airspeed(first) if readings.updated & DIFF_PRESSURE else None
-        line = self._body_state(truth, second)._replace(
-            airspeed_mps=airspeed, battery_va=readings.battery
-        )
+        line = self._body_state(truth, second)._replace(airspeed_mps=airspeed)
         return StepBytes(b"".join(packets), state_line(line))
 
     def _packets(self, pace: Pace, outputs: Sequence[BinaryOutput]) -> list[bytes]:

@@ -31,6 +31,7 @@ from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.hil_frames import START_US, HilPacker
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.scenario.scenario_file import read_scenario
+from simvehicle.sensors.readings import BatteryReading
 from simvehicle.vehicles.actuators import motor_mix
 
 SCENARIO = """
@@ -245,6 +246,28 @@ def test_an_answer_is_read_before_telemetry(flight_of):
         assert receiver.frames(5.0) == []
         sender.deliver_all()
     assert attitude in [send.data[7] for send in delivered]
+
+
+class NotingLink:
+    """A telemetry link that keeps what is written."""
+
+    def __init__(self):
+        self.written = b""
+
+    def write(self, data):
+        self.written += data
+
+
+def test_a_battery_reaches_the_autopilot_by_its_telemetry(flight_of):
+    flight, telemetry = flight_of(fault="drop", target="HIL_GPS", for_s=1), NotingLink()
+    sender = AutopilotSender(
+        flight, HilPacker(flight.simulation.board), lambda sends: None, telemetry=telemetry
+    )
+    out = Parser().push(b"".join(sender.frames([BatteryReading(0, 15.8, 12.0, 0.9)])))
+    names = {frame.layout.name for frame in out}
+    assert "HIL_STATE_QUATERNION" in names
+    assert "BATTERY_STATUS" not in names
+    assert [frame.layout.name for frame in Parser().push(telemetry.written)] == ["BATTERY_STATUS"]
 
 
 def test_the_operator_runs_once_per_step_while_the_autopilot_computes(flight_of):

@@ -33,6 +33,7 @@ def test_a_mode_is_named_by_the_class_of_the_vehicle() -> None:
     assert mode_name(ARDUPILOT, CLASSES[2], 19) == "AVOID_ADSB"
     assert mode_name(ARDUPILOT, CLASSES[10], 16) == "INITIALISING"
     assert mode_name(PX4, CLASSES[2], 4 << 16 | 6 << 24) == "LAND"
+    assert mode_name(PX4, CLASSES[2], 4 << 16 | 20 << 24) == "DESCEND"  # a blind landing
 
 
 @pytest.mark.parametrize(

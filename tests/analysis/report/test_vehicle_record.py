@@ -94,5 +94,7 @@ def test_commands_of_a_ground_station_tell_a_failsafe_from_a_command() -> None:
     # A remote control may have chosen the mode.
     remote = rows_of("RC_CHANNELS", T_US, time_boot_ms=T_US // 1000, chancount=8, chan5_raw=1500)
     columns |= {"COMMAND_LONG": asked[:1], "RC_CHANNELS": remote}
-    found = vehicle_outcome(add_derived_curves(recording_of_tlog(columns)))
-    assert found.outcome == "landed as commanded"
+    for component, outcome in ((1, "landed as commanded"), (51, "failsafe")):
+        remote["component"] = component  # that of a simulator has sticks only
+        found = vehicle_outcome(add_derived_curves(recording_of_tlog(columns)))
+        assert found.outcome == outcome

@@ -62,7 +62,7 @@ def test_a_crash_in_the_words_of_the_autopilot_is_a_crash() -> None:
     "text",
     [
         "Crash check disabled", "Crash check enabled", "Failsafe enabled",
-        "Failsafe mode deactivated", "Battery failsafe action set to LAND",
+        "Failsafe mode deactivated", "Battery failsafe action set to LAND", "Failsafe warning",
         "vibration compensation: error 1",
     ],
 )  # fmt: skip

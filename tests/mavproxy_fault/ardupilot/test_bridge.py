@@ -12,14 +12,19 @@ from pathlib import Path
 
 import pytest
 
+from mavproxy_fault.ardupilot.bridge import Bridge
 from mavproxy_fault.ardupilot.bridge_command import BridgeLoop, FlightEndError
 from mavproxy_fault.ardupilot.bridge_ports import Datagrams
 from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
+from mavproxy_fault.ardupilot.hil_readings import Readings, TrueState
+from mavproxy_fault.ardupilot.parameters import AvailableSensors
+from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.tcp import TcpServer
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
+from mavproxy_fault.wire.parser import Parser
 
 STAND_IN = Path(__file__).with_name("recorded_autopilot.py")
 STEP_US = 2_500
@@ -178,6 +183,45 @@ def test_a_simulator_that_falls_silent_behind_a_proxy_is_reported_once():
             exchange.run(b"")
         assert peer.fileno() >= 0
     assert messages == [f"{link.name}: no step for 0.1 s; still waiting"]
+
+
+class NotingPort:
+    """One of ArduPilot's ports; keeps what is written."""
+
+    outputs = ()
+
+    def __init__(self):
+        self.written = b""
+
+    def write(self, data):
+        self.written += data
+
+
+def test_sitl_is_told_the_battery_and_the_loss_of_the_remote_control():
+    home = TrueState(0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, (0.0, 0.0, 0.0))
+    sensors = AvailableSensors(400.0, second_imu=False, second_gps=False, rangefinder=False)
+    ports = NotingPort(), NotingPort(), NotingPort()
+    bridge = Bridge(
+        lambda *_: None, DiscoveredVehicle(Readings(), home, sensors), ports, list, lambda _: None
+    )
+
+    def receive(name, **values):
+        layout = message_layout(name)
+        bridge.receive(Frame(build_frame(layout, values), layout))
+
+    receive("HIL_SENSOR", fields_updated=0x1FFF)
+    receive("BATTERY_STATUS", voltages=(12_500, *(0xFFFF,) * 9))
+    for t_us in range(0, 2_000_000, 100_000):
+        if t_us < 600_000 or t_us > 1_500_000:
+            receive("RC_CHANNELS", chancount=8)
+        receive("HIL_STATE_QUATERNION", time_usec=t_us, attitude_quaternion=(1, 0, 0, 0))
+    sent = [
+        (frame.read("param_id").rstrip(b"\0"), frame.number("param_value"))
+        for frame in Parser().push(ports[1].written)
+        if frame.layout.name == "PARAM_SET"
+    ]
+    lost_and_found = [(b"SIM_RC_FAIL", 1.0), (b"SIM_RC_FAIL", 0.0)]
+    assert sent == [(b"SIM_BATT_VOLTAGE", 12.5), *lost_and_found]
 
 
 def test_within_a_process_it_is_a_link_that_ends_with_its_autopilot(tmp_path):

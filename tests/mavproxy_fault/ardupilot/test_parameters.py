@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 
 from mavproxy_fault.ardupilot.parameters import (
@@ -38,6 +40,16 @@ def test_flow_and_vision_are_read_by_mavlink_if_available():
     )
     assert (values["FLOW_TYPE"], values["FLOW_FXSCALER"], values["VISO_TYPE"]) == (5, -990, 1)
     assert not {"FLOW_TYPE", "VISO_TYPE"} & bridge_parameters("copter", BARE).keys()
+
+
+def test_remote_control_and_battery_have_failsafes_only_if_there_are_any():
+    fitted = dataclasses.replace(BARE, remote_control=True, battery_v=16.8)
+    values = bridge_parameters("copter", fitted)
+    assert values["FS_THR_ENABLE"] == 1
+    # SITL takes up to 0.7 V off at full throttle: half of it in hover
+    assert 12.0 < values["BATT_CRT_VOLT"] < values["BATT_LOW_VOLT"] < 0.81 * 16.8
+    bare = bridge_parameters("copter", BARE)
+    assert bare["FS_THR_ENABLE"] == bare["BATT_MONITOR"] == 0
 
 
 def test_the_loop_is_no_faster_than_the_steps():

@@ -30,6 +30,17 @@ def test_the_first_stamp_starts_the_timeline_and_frames_without_one_take_the_new
     assert clock.read(frame("HEARTBEAT", 255, type=2), 999_999) == 60_000_000
 
 
+def test_a_system_that_stamped_long_ago_takes_the_newest_time_of_any() -> None:
+    """MAVSDK stamps one PING, then sends heartbeats only."""
+    clock = VehicleClock()
+    clock.read(frame("HIL_SENSOR", component=51, time_usec=2_000_000), 0)
+    clock.read(frame("PING", 245, time_usec=2_000_000), 0)
+    clock.read(frame("HIL_SENSOR", component=51, time_usec=11_000_000), 1)
+    assert clock.read(frame("HEARTBEAT", 245, type=6), 2) == 2_000_000
+    clock.read(frame("HIL_SENSOR", component=51, time_usec=20_000_000), 3)
+    assert clock.read(frame("HEARTBEAT", 245, type=6), 4) == 20_000_000
+
+
 def test_a_clock_near_the_timeline_is_used_unchanged() -> None:
     clock = VehicleClock()
     clock.read(frame("HIL_SENSOR", component=51, time_usec=2_000_000), 0)

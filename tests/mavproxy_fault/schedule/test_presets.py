@@ -13,7 +13,7 @@ from mavproxy_fault.rtcm.transport import tunnel_frames, tunnel_payload
 from mavproxy_fault.schedule.entries import Entry, parse_schedule
 from mavproxy_fault.schedule.presets import preset_names, read_preset
 from mavproxy_fault.wire.dialect import message_layout
-from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.plant_messages import plant_change
 
 START_US = 2_000_000
@@ -36,6 +36,14 @@ def messages(entries: list[Entry]) -> set[str]:
             head = name.split(".")[0]
             found.add("HIL_SENSOR" if head == "PLANT" else head)
     return found - {"PSEUDORANGE"}  # which `encode_test_epoch` makes
+
+
+def sent_by(frame: Frame, entry: Entry) -> Frame:
+    """Return the frame of the system that an entry acts on."""
+    if entry.where.system is None:
+        return frame
+    values = {name: frame.read(name) for name in frame.layout.fields}
+    return Frame(build_frame(frame.layout, values, system=entry.where.system), frame.layout)
 
 
 def targets(name: str) -> set[str]:
@@ -63,7 +71,7 @@ def changes(name: str) -> tuple[set[str], int, list[Any]]:
     for i in range(FRAMES):
         t_us = START_US + i * STEP_US
         for message in sorted(messages(list(schedule.faults))):
-            healthy = healthy_frame(message, t_us * 1e-6)
+            healthy = sent_by(healthy_frame(message, t_us * 1e-6), schedule.faults[0])
             outs = engine.apply(healthy, "to-vehicle", t_us)
             replies += [
                 plant_change(o.frame) for o in outs if o.back and isinstance(o.frame, Frame)

@@ -19,6 +19,7 @@ from simvehicle.sensors.readings import (
     GpsReading,
     PseudorangeReading,
     RangeReading,
+    RemoteControlReading,
     VisionReading,
 )
 
@@ -140,6 +141,7 @@ def test_range_flow_vision_and_battery_have_their_messages() -> None:
         FlowReading(0, 0.02, np.array([0.01, -0.02]), np.array([0.1, 0.2, 0.3]), 12.3, 200),
         VisionReading(0, np.array([1.0, 2, -3]), np.array([0.0, 5, 0]), turned, 0.1, 0.2),
         BatteryReading(0, 15.8, 12.34, 0.876),
+        RemoteControlReading(0, (1500, 1600, 1000, 1500)),
     ]
     frames = Link().frames(0, readings)
     distance = one(frames, "DISTANCE_SENSOR")
@@ -161,6 +163,8 @@ def test_range_flow_vision_and_battery_have_their_messages() -> None:
     battery = one(frames, "BATTERY_STATUS")
     assert (battery.voltages[0], battery.voltages[1]) == (15800, 65535)
     assert (battery.current_battery, battery.battery_remaining) == (1234, 88)
+    sticks = one(frames, "RC_CHANNELS")
+    assert (sticks.chancount, sticks.chan2_raw, sticks.chan5_raw) == (4, 1600, 0)
 
 
 def test_vision_may_be_sent_as_a_pose_only() -> None:

@@ -274,9 +274,12 @@ def test_the_cut_into_blocks_changes_nothing() -> None:
     assert len(one_by_one) == 5
 
 
-@pytest.mark.parametrize(("alt_m", "judged"), [(502.0, False), (510.0, True)])
-def test_low_and_slow_a_leg_may_touch_the_ground_and_no_actuator_is_isolated(
-    alt_m: float, judged: bool
+@pytest.mark.parametrize(
+    ("alt_m", "blow_mps2", "judged"),
+    [(502.0, 0.0, False), (510.0, 0.0, True), (510.0, 200.0, False)],
+)
+def test_what_touches_the_ground_or_hits_it_isolates_no_actuator(
+    alt_m: float, blow_mps2: float, judged: bool
 ) -> None:
     """A motor's command falls without a response: 2 and 10 m above the first fix."""
     effects = setup_of("quad").monitor.actuators
@@ -290,7 +293,8 @@ def test_low_and_slow_a_leg_may_touch_the_ground_and_no_actuator_is_isolated(
         if k % 20 == 0:
             samples.append(dataclasses.replace(fix, t_us=t_us, alt_m=alt_m if k > 600 else 510.0))
         samples.append(CommandSample(t_us, commands))
-        samples.append(ImuSample(t_us, 0.01 * rng.normal(size=3), np.array([0.0, 0.0, -9.8])))
+        force = np.array([0.0, 0.0, -9.8 - blow_mps2 * (k == 700)])
+        samples.append(ImuSample(t_us, 0.01 * rng.normal(size=3), force))
     found, _ = detector.step(block_of(samples), detector.new_state())
     alarms = [r for _, r in found if isinstance(r, SensorDecision) and r.alarm]
     assert bool(alarms) == judged

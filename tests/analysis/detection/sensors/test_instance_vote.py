@@ -7,7 +7,7 @@ import pytest
 
 from analysis.detection.sensors.instance_vote import InstanceVoteDetector
 from analysis.results import SensorDecision
-from analysis.samples.block import BARO, FIX, MAG, Block, block_of
+from analysis.samples.block import BARO, FIX, IMU_ID, MAG, Block, block_of
 from analysis.samples.sample import (
     BaroSample,
     GpsFix,
@@ -57,6 +57,18 @@ def test_of_two_that_disagree_none_is_isolated(wrong: int) -> None:
     found = alarms(flight(2, wrong))
     assert {result.reason for result in found} == {"IMU 1 and IMU 2 disagree"}
     assert all(result.alarm and not result.isolated for result in found)
+
+
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_sensor_that_alone_becomes_noisy_is_isolated(count: int) -> None:
+    block, rng = flight(count), np.random.default_rng(4)
+    noisy = (block.t_us > WRONG_S[0] * 1e6) & (block.t_us < WRONG_S[1] * 1e6)
+    noisy &= block.values[:, IMU_ID] == 1
+    block.values[noisy, :3] += rng.normal(0.0, 0.3, (int(noisy.sum()), 3))
+    found = alarms(block)
+    assert {result.reason for result in found} == {"IMU 2 is noisy, unlike the others"}
+    assert all(result.isolated for result in found)
+    assert WRONG_S[0] * 1e6 < found[0].t_us <= (WRONG_S[0] + 2.0) * 1e6
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])

@@ -105,6 +105,18 @@ def test_a_faulty_sensor_alone_is_isolated(flight, sensor: str):
     assert first.t_s == pytest.approx(FROM_S, abs=0.41)
 
 
+def test_a_barometer_that_returns_from_a_slow_drift_is_healthy_at_once(flight):
+    """Its slow states have followed 0.4 m/s for 17 s, so the return looks like a jump."""
+    samples = [
+        replace(s, pressure_pa=s.pressure_pa - 5.0 * (s.t_us * 1e-6 - 35.0))
+        if isinstance(s, BaroSample) and 35.0 < s.t_us * 1e-6 < 52.0
+        else s
+        for s in with_sensors(flight, "")
+    ]
+    found = [r for r in judged(samples) if r.sensor == "baro" and r.isolated]
+    assert not [r for r in found if r.t_us > 52.5e6]
+
+
 def test_a_jumping_receiver_is_separable_from_the_imu_without_raw_ranges(shared_data: Path):
     path = next((shared_data / "px4_hil").glob("*_hil.tlog"))
     samples = [sample for block in read_log(path) for sample in block.samples()]

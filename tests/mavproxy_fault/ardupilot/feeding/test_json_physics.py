@@ -28,12 +28,6 @@ def test_airspeed_is_sent_only_if_it_is_measured():
     assert b"airspeed" not in state_line(STATE)
 
 
-def test_a_battery_is_sent_only_if_there_is_one():
-    line = json.loads(state_line(STATE._replace(battery_va=(11.75, 14.5))))
-    assert line["battery"] == {"voltage": 11.75, "current": 14.5}
-    assert b"battery" not in state_line(STATE)
-
-
 def test_there_is_no_blank_between_a_key_and_its_vector():
     assert b" " not in state_line(STATE)
 

@@ -61,12 +61,6 @@ def test_the_second_imu_is_sent_by_json_physics():
     assert json.loads(fed.physics)["imu"]["gyro"] == [0.25, 0, 0]
 
 
-def test_the_battery_of_the_link_is_in_the_line():
-    pack = frame("BATTERY_STATUS", voltages=(12_600, *(0xFFFF,) * 9), current_battery=1450)
-    fed = SensorFeed(HOME).step(readings_of(sensor(), pack), HOME)
-    assert json.loads(fed.physics)["battery"] == {"voltage": 12.6, "current": 14.5}
-
-
 def test_a_fix_becomes_a_packet_and_sets_the_health():
     fix = frame("HIL_GPS", lat=474_000_000, lon=85_000_000, alt=488_000, eph=50, epv=80, vn=150,
                 fix_type=3, satellites_visible=12)  # fmt: skip

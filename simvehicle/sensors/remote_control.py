@@ -1,0 +1,23 @@
+"""Receiver of a remote control whose pilot leaves the sticks alone."""
+
+import numpy as np
+
+from simvehicle.sensors.readings import RemoteControlReading
+from simvehicle.sensors.sensor import SensorParameters
+from simvehicle.vehicles.body import Truth
+
+
+class RemoteControl(SensorParameters, frozen=True, kw_only=True):
+    """Pulse widths [us] of the channels; all centred, as in flight under an autopilot."""
+
+    rate_hz: float = 10.0  # PX4 reports a loss after 0.5 s, ArduPilot after 1 s
+    channels_us: tuple[int, ...] = (1500,) * 8
+
+    def new_state(self, rng: np.random.Generator) -> None:
+        """It has none."""
+
+    def sample(
+        self, truth: Truth, state: None, rng: np.random.Generator
+    ) -> tuple[RemoteControlReading, None]:
+        """One reading."""
+        return RemoteControlReading(truth.t_us, self.channels_us), None
