@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from simvehicle.sensors.error_model import NoiseState
 from simvehicle.sensors.readings import RemoteControlReading
 from simvehicle.sensors.sensor import SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -13,11 +14,8 @@ class RemoteControl(SensorParameters, frozen=True, kw_only=True):
     rate_hz: float = 10.0  # PX4 reports a loss after 0.5 s, ArduPilot after 1 s
     channels_us: tuple[int, ...] = (1500,) * 8
 
-    def new_state(self, rng: np.random.Generator) -> None:
-        """It has none."""
-
     def sample(
-        self, truth: Truth, state: None, rng: np.random.Generator
-    ) -> tuple[RemoteControlReading, None]:
+        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
+    ) -> tuple[RemoteControlReading, list[NoiseState]]:
         """One reading."""
-        return RemoteControlReading(truth.t_us, self.channels_us), None
+        return RemoteControlReading(truth.t_us, self.channels_us), state
