@@ -9,8 +9,8 @@ uncertain:
     v' inv(H_b P_b H_b' + R) v  is compared with chi-square(m),
 
 with a false-alarm probability of its own (`p_other`). A sensor that fails several times in a row is
-isolated until it has been healthy for `readmit_s`; its slow states are frozen meanwhile. One that
-agrees again with the slow states that it began with has returned from a drift: it is healthy at
+isolated until it has been healthy for `readmit_s`; its slow states are frozen meanwhile. One
+whose offset is again that of its first ten seconds has returned from a drift: it is healthy at
 once. Each sensor's prediction is in `sensor_models`.
 
 `NavigationDetector` contains the detector: it returns the results of both.
@@ -58,6 +58,8 @@ from mavproxy_fault.numerics.linear import invert_positive_definite
 
 FAILS_TO_ISOLATE = 3  # failures in a row, chosen: one outlier isolates no sensor
 SIZE_SIGMAS = 4.0  # error of the field's size above which the magnetometer is at fault: p 6e-5
+WITH_OFFSET = ("baro", "vision")  # slow states of the others are the wind, the field, the terrain
+SETTLED_S = 10.0  # chosen: the slow states are then known to their sensor's noise
 STALE_S = 0.5  # older samples are not tested
 SAME_US = 10_000  # a fix this close to an epoch belongs to it: receivers send it after the ranges
 NOISE_MEMORY_S = 30.0  # memory of a sensor's noise
@@ -85,8 +87,9 @@ class SensorState:
     z: Vector = field(default_factory=lambda: np.empty(0))
     slow: SlowStates | None = None
     slow_us: int = NEVER_US
-    first: SlowStates | None = None  # slow states at the start, and when that was
-    first_us: int = NEVER_US
+    begun_us: int = NEVER_US  # when they were started
+    settled: SlowStates | None = None  # these SETTLED_S later, and when that was
+    settled_us: int = NEVER_US
     fails: int = 0
     isolated: bool = False
     healthy_us: int = NEVER_US
@@ -272,19 +275,17 @@ class NavigationDetector:
         state.slow_us = epoch_us
         if slow is None or isinstance(outcome, SlowStates):
             assert isinstance(outcome, SlowStates)
-            state.slow = outcome
-            if state.first is None:
-                state.first, state.first_us = outcome, epoch_us
+            state.slow, state.begun_us = outcome, epoch_us
             return None
         tested = _test_innovation(outcome, slow, walk**2 * elapsed_s)
         threshold = self._thresholds[len(outcome[0])]
-        if not tested.statistic <= threshold and state.first is not None:
-            begun = MODELS[name](state.z, view, state.first.b, late_s, sigma)
-            age_s = (epoch_us - state.first_us) * 1e-6
-            if not isinstance(begun, str | SlowStates):
-                returned = _test_innovation(begun, state.first, walk**2 * age_s)
-                if returned.statistic <= threshold:
-                    tested, slow, state.isolated = returned, state.first, False
+        if not tested.statistic <= threshold and state.settled is not None:
+            outcome = MODELS[name](state.z, view, state.settled.b, late_s, sigma)
+            assert not isinstance(outcome, str | SlowStates)
+            age_s = (epoch_us - state.settled_us) * 1e-6
+            returned = _test_innovation(outcome, state.settled, walk**2 * age_s)
+            if returned.statistic <= threshold:
+                tested, slow, state.isolated = returned, state.settled, False
         statistic, failed = tested.statistic, not tested.statistic <= threshold
         # A field of the right size in the wrong direction may be due to the attitude, which is the
         # IMU's fault. Written so that NaN is the sensor's own.
@@ -294,6 +295,9 @@ class NavigationDetector:
         if not failed and not state.isolated:  # else the slow states are frozen
             gain, v = tested.ph @ tested.inverse, tested.v
             state.slow = SlowStates(slow.b + gain @ v, tested.p - gain @ tested.ph.T)
+            settled = epoch_us - state.begun_us >= SETTLED_S * 1e6
+            if settled and state.settled is None and name in WITH_OFFSET:
+                state.settled, state.settled_us = state.slow, epoch_us
             share = min(elapsed_s / NOISE_MEMORY_S, 1.0) / len(v)
             for one in v.tolist():
                 state.variance += share * (one**2 - state.variance)
