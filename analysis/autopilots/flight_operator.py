@@ -84,7 +84,7 @@ class Phase(StrEnum):
 PHASE_TIMEOUTS_S = {  # vehicle time, for phases that the autopilot has to end
     Phase.WAITING: 180.0,
     Phase.UPLOADING: 30.0,
-    Phase.ARMING: 60.0,
+    Phase.ARMING: 180.0,  # on a busy machine ArduPilot refuses for a while: its loop is slow
     Phase.CLIMBING: 60.0,
     Phase.LANDING: 300.0,  # a plane flies a pattern first
 }
@@ -206,7 +206,8 @@ class Operator:
         elif grounded_s > GROUNDED_LIMIT_S and not self.finished:
             self.failure = f"on the ground for {GROUNDED_LIMIT_S:.0f} s with its motors on"
         elif waited_s > PHASE_TIMEOUTS_S.get(self.phase, float("inf")):
-            self.failure = f"still {self.phase} after {waited_s:.0f} s"
+            said = f": {self.texts[-1][1]}" if self.texts else ""
+            self.failure = f"still {self.phase} after {waited_s:.0f} s{said}"
 
     def _phase_complete(self) -> bool:
         match self.phase:

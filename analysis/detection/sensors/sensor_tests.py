@@ -9,9 +9,9 @@ uncertain:
     v' inv(H_b P_b H_b' + R) v  is compared with chi-square(m),
 
 with a false-alarm probability of its own (`p_other`). A sensor that fails several times in a row is
-isolated until it has been healthy for `readmit_s`; its slow states are frozen meanwhile. One that
-agrees again with the slow states of its first half minute has returned from a drift: it is healthy
-at once. Each sensor's prediction is in `sensor_models`.
+isolated until it has been healthy for `readmit_s`; its slow states are frozen meanwhile. One
+whose offset is again that of its first ten seconds has returned from a drift: it is healthy at
+once. Each sensor's prediction is in `sensor_models`.
 
 `NavigationDetector` contains the detector: it returns the results of both.
 """
@@ -58,6 +58,8 @@ from mavproxy_fault.numerics.linear import invert_positive_definite
 
 FAILS_TO_ISOLATE = 3  # failures in a row, chosen: one outlier isolates no sensor
 SIZE_SIGMAS = 4.0  # error of the field's size above which the magnetometer is at fault: p 6e-5
+WITH_OFFSET = ("baro", "vision")  # slow states of the others are the wind, the field, the terrain
+SETTLED_S = 10.0  # chosen: the slow states are then known to their sensor's noise
 STALE_S = 0.5  # older samples are not tested
 SAME_US = 10_000  # a fix this close to an epoch belongs to it: receivers send it after the ranges
 NOISE_MEMORY_S = 30.0  # memory of a sensor's noise
@@ -85,8 +87,8 @@ class SensorState:
     z: Vector = field(default_factory=lambda: np.empty(0))
     slow: SlowStates | None = None
     slow_us: int = NEVER_US
-    begun_us: int = NEVER_US  # when its slow states were started
-    first: SlowStates | None = None  # those that it had once its noise was known
+    begun_us: int = NEVER_US  # when they were started
+    settled: SlowStates | None = None  # these SETTLED_S later
     fails: int = 0
     isolated: bool = False
     healthy_us: int = NEVER_US
@@ -268,18 +270,17 @@ class NavigationDetector:
         state.slow_us = epoch_us
         if slow is None or isinstance(outcome, SlowStates):
             assert isinstance(outcome, SlowStates)
-            state.slow = outcome
-            if state.begun_us == NEVER_US:
-                state.begun_us = epoch_us
+            state.slow, state.begun_us = outcome, epoch_us
             return None
         tested = _test_innovation(outcome, slow, model.walk**2 * elapsed_s)
         threshold = self._thresholds[len(outcome[0])]
-        if not tested.statistic <= threshold and state.first is not None:
-            begun = model.innovation(state.z, view, state.first.b, late_s, sigma)
-            if not isinstance(begun, str | SlowStates):
-                returned = _test_innovation(begun, state.first, model.walk**2 * elapsed_s)
-                if returned.statistic <= threshold:
-                    tested, slow, state.isolated = returned, state.first, False
+        if not tested.statistic <= threshold and state.settled is not None:
+            outcome = model.innovation(state.z, view, state.settled.b, late_s, sigma)
+            assert not isinstance(outcome, str | SlowStates)
+            # Not wider with time, or a fault could hide in what may have changed since.
+            returned = _test_innovation(outcome, state.settled, model.walk**2 * elapsed_s)
+            if returned.statistic <= threshold:
+                tested, slow, state.isolated = returned, state.settled, False
         statistic, failed = tested.statistic, not tested.statistic <= threshold
         # A field of the right size in the wrong direction may be due to the attitude, which is the
         # IMU's fault. Written so that NaN is the sensor's own.
@@ -289,8 +290,9 @@ class NavigationDetector:
         if not failed and not state.isolated:  # else the slow states are frozen
             gain, v = tested.ph @ tested.inverse, tested.v
             state.slow = SlowStates(slow.b + gain @ v, tested.p - gain @ tested.ph.T)
-            if state.first is None and epoch_us - state.begun_us >= NOISE_MEMORY_S * 1e6:
-                state.first = state.slow
+            settled = epoch_us - state.begun_us >= SETTLED_S * 1e6
+            if settled and state.settled is None and name in WITH_OFFSET:
+                state.settled = state.slow
             share = min(elapsed_s / NOISE_MEMORY_S, 1.0) / len(v)
             for one in v.tolist():
                 state.variance += share * (one**2 - state.variance)

@@ -179,6 +179,16 @@ def test_an_autopilot_that_never_gets_ready_ends_the_flight_with_the_reason():
     assert autopilot.operator.failure == "still waiting for a position after 181 s"
 
 
+def test_an_autopilot_that_refuses_to_arm_is_asked_for_three_minutes_and_quoted():
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
+    autopilot.up_to(Phase.ARMING)
+    while not autopilot.operator.finished:
+        autopilot.second(frame("STATUSTEXT", text=b"Arm: Main loop slow (171Hz < 250Hz)"))
+    assert autopilot.operator.failure == (
+        "still arming after 181 s: Arm: Main loop slow (171Hz < 250Hz)"
+    )
+
+
 def test_an_autopilot_that_lands_by_itself_ends_the_flight():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.FLYING)
