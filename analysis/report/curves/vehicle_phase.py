@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.recording import FlightData, Signal, merged_windows
 
 Windows = list[tuple[float, float]]
 
@@ -151,13 +151,7 @@ def _windows(recording: FlightData, state: str) -> Windows | None:
     if not spans:
         # Unknown, which differs from "never" (an empty list).
         return None
-    found: Windows = []
-    for start, end in sorted((s.start_s, s.end_s) for s in spans if s.text == state):
-        if found and start <= found[-1][1]:
-            found[-1] = found[-1][0], max(end, found[-1][1])
-        else:
-            found.append((start, end))
-    return found
+    return merged_windows([(s.start_s, s.end_s) for s in spans if s.text == state])
 
 
 def _height(recording: FlightData) -> Signal | None:

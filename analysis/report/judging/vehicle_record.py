@@ -120,16 +120,10 @@ def _path(recording: FlightData, names: tuple[str, ...], t_s: Vector) -> tuple[V
 
 
 def _tilt(recording: FlightData, names: tuple[str, ...], t_s: Vector) -> Vector:
-    roll, pitch = (_signal(recording, (part,), names) for part in ("roll", "pitch"))
-    if roll is None or pitch is None:
+    tilt = _signal(recording, ("tilt",), names)
+    if tilt is None:
         return np.full(len(t_s), np.nan)
-    # The cosines, which have no step at 180 degrees.
-    level = np.interp(roll.t_s, pitch.t_s, np.cos(np.radians(pitch.value)))
-    level = level * np.cos(np.radians(roll.value))
-    tilt_deg: Vector = np.degrees(
-        np.arccos(np.clip(np.interp(t_s, roll.t_s, level, np.nan, np.nan), -1.0, 1.0))
-    )
-    return tilt_deg
+    return np.asarray(np.interp(t_s, tilt.t_s, tilt.value, np.nan, np.nan))
 
 
 def _tilt_error(recording: FlightData) -> tuple[Vector, Vector] | None:
