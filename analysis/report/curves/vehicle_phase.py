@@ -5,6 +5,7 @@ modes mean: each firmware counts its own (`mode` enumerations in mode.h; MAVLink
 COPTER_MODE, PLANE_MODE, ROVER_MODE, SUB_MODE, TRACKER_MODE). PX4: `px4_custom_mode.h`.
 """
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 
@@ -123,9 +124,21 @@ def flying_windows(recording: FlightData) -> Windows | None:
         if height is None:
             return armed
         air = [window for start, end in armed for window in _above(height, start, end)]
-    both = [(max(a, c), min(b, d)) for a, b in armed for c, d in air]
-    flown = [(start, _until_rest(recording, start, end)) for start, end in both if end > start]
+    flown = [(start, _until_rest(recording, start, end)) for start, end in _common(armed, air)]
     return [(start, end) for start, end in flown if end > start]
+
+
+def _common(first: Windows, second: Windows) -> Windows:
+    """What two sorted lists of windows have in common; a log may hold thousands of flights."""
+    found, at = [], 0
+    for start, end in first:
+        while at < len(second) and second[at][1] <= start:
+            at += 1
+        for other_start, other_end in itertools.islice(second, at, None):
+            if other_start >= end:
+                break
+            found.append((max(start, other_start), min(end, other_end)))
+    return found
 
 
 def _until_rest(recording: FlightData, start_s: float, end_s: float) -> float:
