@@ -2,10 +2,11 @@
 
     python benchmarks/flight_logs.py FOLDER [TABLE]
 
-TABLE (`benchmarks/flight_logs.csv`) has a row per log: its MD5, repository, half (the first was
-used for development), class, whether it crashed, and the checks that are true of it. Those of the
-first half were held against numbers that pymavlink and pyulog give, those of the second only where
-they looked wrong. Of the logs themselves nothing is stored here.
+TABLE (`benchmarks/flight_logs.csv`) has a row per log: its MD5, repository, part, class, whether it
+crashed, and the checks that are true of it. The first part was used for development and held
+against numbers that pymavlink and pyulog give, the second only where a report looked wrong. The
+third and fourth were judged from numbers of pymavlink and numpy before their reports were read, the
+fourth behind all changes that the third led to. Of the logs themselves nothing is stored here.
 """
 
 import csv

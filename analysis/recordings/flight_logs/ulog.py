@@ -31,7 +31,6 @@ Rows = NDArray[np.void]
 DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
 KEY = re.compile(r"(\w+)(?:\[(\d+)\])? (.+)", re.ASCII)
 OTHER_CLOCKS = ("timestamp_sample", "time_utc_usec")
-PARAMETERS = ("int32_t", "float")
 PLACED = {"L": 1, "C": 3}  # kinds of messages with a stamp, and where it stands
 
 

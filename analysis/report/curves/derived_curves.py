@@ -177,15 +177,18 @@ def _balance(recording: FlightData) -> list[Signal]:
 
 
 def _tilt(recording: FlightData) -> list[Signal]:
-    """Tilt: angle between the body z axis and the vertical, from the autopilot's estimate."""
-    angles = {(part, s.name): s for part in ("roll", "pitch") for s in recording.of(part)}
-    own = next((name for name in OWN_ATTITUDE if ("roll", name) in angles), None)
-    if own is None or ("pitch", own) not in angles:
-        return []
-    roll, pitch = angles["roll", own], angles["pitch", own]
-    there = np.interp(roll.t_s, pitch.t_s, pitch.value)
-    level = np.cos(np.radians(roll.value)) * np.cos(np.radians(there))
-    return [Signal("tilt", own, roll.t_s, np.degrees(np.arccos(np.clip(level, -1.0, 1.0))))]
+    """Tilt: angle between the body z axis and the vertical, of the autopilot's estimate and of the
+    truth."""
+    rolls, pitches = ({s.name: s for s in recording.of(part)} for part in ("roll", "pitch"))
+    both = [name for name in OWN_ATTITUDE if name in rolls.keys() & pitches.keys()]
+    found = []
+    for name in [*both[:1], *({"truth"} & rolls.keys() & pitches.keys())]:
+        roll, pitch = rolls[name], pitches[name]
+        # The cosines, which have no step at 180 degrees.
+        level = np.interp(roll.t_s, pitch.t_s, np.cos(np.radians(pitch.value)))
+        level = np.clip(level * np.cos(np.radians(roll.value)), -1.0, 1.0)
+        found.append(Signal("tilt", name, roll.t_s, np.degrees(np.arccos(level))))
+    return found
 
 
 def _intervals(recording: FlightData) -> list[Signal]:

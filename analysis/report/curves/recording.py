@@ -164,6 +164,12 @@ class FlightData:
     vehicle: str = ""
     identity: dict[str, str] = field(default_factory=dict)
 
+    def add_parameter(self, name: str, t_s: float, value: float) -> None:
+        """Add a value of a parameter, if it changed: some versions log all of them repeatedly."""
+        history = self.parameters.setdefault(name, [])
+        if not history or history[-1][1] != value:
+            history.append((t_s, value))
+
     def of(self, panel: str) -> list[Signal]:
         """The signals of one panel."""
         return [signal for signal in self.signals if signal.panel == panel]
@@ -201,6 +207,17 @@ def inside_windows(t_s: Vector, windows: Windows | None) -> NDArray[np.bool_]:
     for start_s, end_s in windows:
         inside |= (t_s >= start_s) & (t_s <= end_s)
     return inside
+
+
+def merged_windows(windows: Windows) -> list[tuple[float, float]]:
+    """Sorted windows; adjacent or overlapping ones are merged."""
+    found: list[tuple[float, float]] = []
+    for start, end in sorted(windows):
+        if found and start <= found[-1][1]:
+            found[-1] = (found[-1][0], max(end, found[-1][1]))
+        else:
+            found.append((start, end))
+    return found
 
 
 def true_runs(active: NDArray[np.bool_]) -> list[tuple[int, int]]:

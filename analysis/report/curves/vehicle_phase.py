@@ -5,12 +5,13 @@ modes mean: each firmware counts its own (`mode` enumerations in mode.h; MAVLink
 COPTER_MODE, PLANE_MODE, ROVER_MODE, SUB_MODE, TRACKER_MODE). PX4: `px4_custom_mode.h`.
 """
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.recording import FlightData, Signal, merged_windows
 from mavproxy_fault.schedule.triggers import PX4_AUTO, PX4_MAIN
 
 Windows = list[tuple[float, float]]
@@ -116,9 +117,21 @@ def flying_windows(recording: FlightData) -> Windows | None:
         if height is None:
             return armed
         air = [window for start, end in armed for window in _above(height, start, end)]
-    both = [(max(a, c), min(b, d)) for a, b in armed for c, d in air]
-    flown = [(start, _until_rest(recording, start, end)) for start, end in both if end > start]
+    flown = [(start, _until_rest(recording, start, end)) for start, end in _common(armed, air)]
     return [(start, end) for start, end in flown if end > start]
+
+
+def _common(first: Windows, second: Windows) -> Windows:
+    """What two sorted lists of windows have in common; a log may hold thousands of flights."""
+    found, at = [], 0
+    for start, end in first:
+        while at < len(second) and second[at][1] <= start:
+            at += 1
+        for other_start, other_end in itertools.islice(second, at, None):
+            if other_start >= end:
+                break
+            found.append((max(start, other_start), min(end, other_end)))
+    return found
 
 
 def _until_rest(recording: FlightData, start_s: float, end_s: float) -> float:
@@ -144,13 +157,7 @@ def _windows(recording: FlightData, state: str) -> Windows | None:
     if not spans:
         # Unknown, which differs from "never" (an empty list).
         return None
-    found: Windows = []
-    for start, end in sorted((s.start_s, s.end_s) for s in spans if s.text == state):
-        if found and start <= found[-1][1]:
-            found[-1] = found[-1][0], max(end, found[-1][1])
-        else:
-            found.append((start, end))
-    return found
+    return merged_windows([(s.start_s, s.end_s) for s in spans if s.text == state])
 
 
 def _height(recording: FlightData) -> Signal | None:

@@ -8,6 +8,7 @@ from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, is_within
 
 SWITCH_WINDOW_S = 10.0  # chosen: repeated switches within it show an unstable choice
+CLEARED_S = 1.0  # chosen: an estimator that clears a flag at arming does so within it
 LOG_START_S, STANDSTILL_MPS = 1.0, 1.0  # chosen: estimator start-up on the ground
 
 
@@ -31,8 +32,10 @@ def _flags(recording: FlightData, armed: Windows | None) -> FlightCheck:
     if not recording.of("gps-fix"):
         # Without a receiver ArduPilot's estimator raises this flag from the beginning.
         spans = [s for s in spans if s.text != "GPS glitch"]
-    # Flags that were raised on the ground and last into the flight count too.
-    spans = [s for s in spans if is_within(s.start_s, armed) or is_within(s.end_s, armed)]
+    # Flags that were raised on the ground count too, if they do not end at arming.
+    spans = [
+        s for s in spans if is_within(s.start_s, armed) or is_within(s.end_s - CLEARED_S, armed)
+    ]
     if armed is None:
         spans = [s for s in spans if not _starts(recording, s)]
     if not spans:

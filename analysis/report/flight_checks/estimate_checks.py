@@ -3,7 +3,13 @@
 import numpy as np
 
 from analysis.report.curves.fused_curves import error_ned_m
-from analysis.report.curves.recording import FlightData, Signal, Windows, inside_windows
+from analysis.report.curves.recording import (
+    FlightData,
+    Signal,
+    Windows,
+    inside_windows,
+    merged_windows,
+)
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import (
     FAIL,
@@ -13,7 +19,6 @@ from analysis.report.judging.checks import (
     FlightCheck,
     check_level,
     lasting_windows,
-    merged_windows,
 )
 from analysis.report.judging.lanes_in_use import check_in_use, estimator_windows
 

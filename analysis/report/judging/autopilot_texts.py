@@ -26,10 +26,11 @@ SEVERE = re.compile(
 # What ArduPilot sends as information or a notice, though words of alarm are in it; a dataflash log
 # has no severities (send_text in its libraries, vehicles of 4.7).
 INFORMATION = re.compile(
-    r"^(precland|autotune|net|ppp|scripting|smartrtl|tmode|windvane): |^(takeoff timeout|vtol pos1"
-    r"|parachute already|parachute: landed|opendroneid|format|saved crash_dump|db init"
-    r"|aborting termination|unable to terminate|failed( to (pause|resume|find|load))?$"
-    r"|terrain failsafe recovery)|transport initialization|because (no samples|of zero flow)",
+    r"^(precland|autotune|net|ppp|smartrtl|tmode|windvane): "
+    r"|^(takeoff timeout|vtol pos1|scripting: failed to create|parachute already"
+    r"|parachute: landed|opendroneid|format|saved crash_dump|db init|aborting termination"
+    r"|unable to terminate|failed( to (pause|resume|find|load))?$|terrain failsafe recovery)"
+    r"|transport initialization|because (no samples|of zero flow)",
     re.IGNORECASE,
 )
 RELEASED = re.compile(r"parachute:? released", re.IGNORECASE)

@@ -12,7 +12,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.curves.recording import Signal, Vector, Windows, inside_windows, true_runs
+from analysis.report.curves.recording import (
+    Signal,
+    Vector,
+    Windows,
+    inside_windows,
+    merged_windows,
+    true_runs,
+)
 
 PASS, WARN, FAIL, NONE = "PASS", "WARN", "FAIL", "not judged"
 # "not judged" ranks below PASS.
@@ -166,17 +173,6 @@ def _evidence(label: str, t_s: Vector, value: Vector, limits: CheckLimits, sever
         f"{who}{word} {value[at]:.4g}{unit} at {t_s[at]:.1f} s, "
         f"{percent}{'st' if percent == 1 else 'th'} percentile {np.percentile(value, percent):.4g}"
     )
-
-
-def merged_windows(windows: Sequence[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Sorted windows; adjacent or overlapping ones are merged."""
-    found: list[tuple[float, float]] = []
-    for start, end in sorted(windows):
-        if found and start <= found[-1][1]:
-            found[-1] = (found[-1][0], max(end, found[-1][1]))
-        else:
-            found.append((start, end))
-    return found
 
 
 def is_within(t_s: float, windows: Windows | None) -> bool:

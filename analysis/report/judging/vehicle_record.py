@@ -19,6 +19,7 @@ GRID_S = {True: 0.02, False: 0.1}  # time step of truth and of estimates: fine e
 ESTIMATES = ("estimate", "CTUN", "VFR_HUD", "GPS")
 TRACKS = ("estimate", "local estimate", "GPS")
 LONGEST_S = 1e6  # eleven days; in a log that lasts longer, times are wrong
+MOST_STEPS = 500_000  # of a motion, 14 hours of estimates; chosen to limit memory
 START_M = 1.0  # chosen: a vehicle that gets lower than this below its start began in the air
 FIXED_WING_TYPE, PX4_FIXED_WING = 1, 2  # MAV_TYPE_FIXED_WING, vehicle_status.vehicle_type
 
@@ -60,6 +61,7 @@ def vehicle_motion(recording: FlightData) -> VehicleMotion | None:
     step_s = GRID_S[true is not None]
     if not 4 * step_s < height.t_s[-1] - height.t_s[0] < LONGEST_S:
         return None
+    step_s = max(step_s, float(height.t_s[-1] - height.t_s[0]) / MOST_STEPS)
     t_s = np.arange(height.t_s[0], height.t_s[-1], step_s)
     height_m = np.interp(t_s, height.t_s, height.value)
     if height.panel == "altitude":
@@ -120,16 +122,10 @@ def _path(recording: FlightData, names: tuple[str, ...], t_s: Vector) -> tuple[V
 
 
 def _tilt(recording: FlightData, names: tuple[str, ...], t_s: Vector) -> Vector:
-    roll, pitch = (_signal(recording, (part,), names) for part in ("roll", "pitch"))
-    if roll is None or pitch is None:
+    tilt = _signal(recording, ("tilt",), names)
+    if tilt is None:
         return np.full(len(t_s), np.nan)
-    # The cosines, which have no step at 180 degrees.
-    level = np.interp(roll.t_s, pitch.t_s, np.cos(np.radians(pitch.value)))
-    level = level * np.cos(np.radians(roll.value))
-    tilt_deg: Vector = np.degrees(
-        np.arccos(np.clip(np.interp(t_s, roll.t_s, level, np.nan, np.nan), -1.0, 1.0))
-    )
-    return tilt_deg
+    return np.asarray(np.interp(t_s, tilt.t_s, tilt.value, np.nan, np.nan))
 
 
 def _tilt_error(recording: FlightData) -> tuple[Vector, Vector] | None:

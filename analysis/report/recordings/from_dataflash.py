@@ -3,7 +3,6 @@
 Messages and fields are named as in ArduPilot's log reference (old logs: as then).
 """
 
-import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import replace
@@ -196,15 +195,12 @@ def _add_core(found: FlightData, log: DataflashFile, start_us: int) -> None:
     # Core 0 throughout is normal and gets no lane.
     if topic is None or not topic["PI"].any():
         return
-    t_s, cores = _seconds(topic, start_us), topic["PI"]
-    edges = [0, *(np.flatnonzero(np.diff(cores)) + 1).tolist(), len(cores)]
-    for begin, end in itertools.pairwise(edges):
-        stop = float(t_s[min(end, len(cores) - 1)])
-        text = f"core {int(cores[begin]) + 1}"
-        found.spans.append(Span("estimator in use", float(t_s[begin]), stop, text, "mode"))
-        # The first row is the initial state.
-        if begin:
-            found.events.append(Event(float(t_s[begin]), "mode", f"estimator: {text}", 4))
+    names = [f"core {number + 1}" for number in topic["PI"].tolist()]
+    spans = value_spans("estimator in use", _seconds(topic, start_us), names)
+    found.spans.extend(spans)
+    # The first one is the initial state.
+    events = (Event(span.start_s, "mode", f"estimator: {span.text}", 4) for span in spans[1:])
+    found.events.extend(events)
 
 
 def _utc0_us(log: DataflashFile, start_us: int) -> int:
@@ -239,10 +235,7 @@ def _add_parameters(found: FlightData, log: DataflashFile, start_us: int) -> Non
         return
     t_s_of = _seconds(topic, start_us).tolist()
     for t_s, name, value in zip(t_s_of, topic["Name"], topic["Value"], strict=True):
-        history = found.parameters.setdefault(_text(name), [])
-        # Only changes, as some versions log all parameters repeatedly.
-        if not history or history[-1][1] != float(value):
-            history.append((t_s, float(value)))
+        found.add_parameter(_text(name), t_s, float(value))
     if "Default" in topic:
         pairs = zip(topic["Name"], topic["Default"].tolist(), strict=True)
         # NaN means that the firmware has no default.

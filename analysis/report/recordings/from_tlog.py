@@ -348,6 +348,4 @@ def _add_parameters(found: FlightData, vehicle: _Vehicle) -> None:
         value = float(row["param_value"])
         if vehicle.autopilot == PX4 and row["param_type"] == 6:  # the bytes of an int32
             value = float(row["param_value"].view(np.int32))
-        history = found.parameters.setdefault(name + vehicle.suffix, [])
-        if not history or history[-1][1] != value:
-            history.append((float(t_s[i]), value))
+        found.add_parameter(name + vehicle.suffix, float(t_s[i]), value)

@@ -73,11 +73,9 @@ def recording_of_ulog(log: ULogFile, name: str, t0_us: int | None = None) -> Fli
         found.events.append(Event((t_us - start_us) * 1e-6, "text", text, severity))
     found.events.extend(_mode_events(found.spans))
     found.events.sort(key=lambda event: event.t_s)
-    for parameter, value in log.parameters.items():
-        # Initial values, followed by changes in flight.
-        found.parameters[parameter] = [(0.0, value)]
-    for t_us, parameter, value in log.changes:
-        found.parameters.setdefault(parameter, []).append(((t_us - start_us) * 1e-6, value))
+    initial = [(start_us, name, value) for name, value in log.parameters.items()]
+    for t_us, parameter, value in [*initial, *log.changes]:
+        found.add_parameter(parameter, (t_us - start_us) * 1e-6, value)
     return FlightData(
         name, "px4", start_us, max((float(s.t_s[-1]) for s in found.signals), default=0.0),
         found.signals, found.spans, found.events, found.tracks, [], found.parameters,

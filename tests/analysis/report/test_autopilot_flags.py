@@ -23,3 +23,12 @@ def test_flags_of_a_starting_estimator_at_rest_are_ignored(
     found.spans.append(Span("estimator: position timeout", since_s, 10.0, "timeout", "flag"))
     flags = run_checks(found, Thresholds(), None)[0]
     assert (flags.name, flags.verdict) == ("flags of the autopilot", verdict)
+
+
+@pytest.mark.parametrize(("until_s", "verdict"), [(5.4, PASS), (9.0, WARN)])
+def test_a_flag_that_ends_at_arming_is_none_of_the_flight(until_s: float, verdict: str) -> None:
+    found = FlightData("flight", "ardupilot", 0, 20.0)
+    t_s = np.arange(0.0, 20.0, 0.2)
+    found.signals.append(Signal("ratio", "velocity", t_s, np.zeros(len(t_s))))
+    found.spans.append(Span("estimator: velocity timeout", 0.1, until_s, "timeout", "flag"))
+    assert run_checks(found, Thresholds(), [(5.0, 20.0)])[0].verdict == verdict

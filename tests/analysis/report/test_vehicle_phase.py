@@ -101,3 +101,13 @@ def test_a_vehicle_that_has_tipped_over_no_longer_flies() -> None:
     flight = FlightData("r", signals=[Signal("height", "estimate", t_s, height_m)], spans=spans)
     ((start_s, end_s),) = flying_windows(flight) or []
     assert (start_s, end_s) == (2.0, pytest.approx(65.0, abs=0.2))
+
+
+def test_windows_in_the_air_are_what_armed_and_flying_have_in_common() -> None:
+    flights = 3000
+    armed = [Span("armed", 60.0 * i, 60.0 * i + 40, "armed", "mode") for i in range(flights)]
+    air = [Span("flying", 60.0 * i + 5, 60.0 * i + 15, "flying", "mode") for i in range(flights)]
+    air += [Span("flying", 60.0 * i + 30, 60.0 * i + 50, "flying", "mode") for i in range(flights)]
+    found = flying_windows(FlightData("x", spans=armed + air)) or []
+    assert found[:3] == [(5.0, 15.0), (30.0, 40.0), (65.0, 75.0)]
+    assert len(found) == 2 * flights
