@@ -17,58 +17,84 @@ References
 """
 
 from dataclasses import dataclass
-from math import cos, sin
 from typing import NamedTuple
 
 import numpy as np
 
 from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior, empty_estimates
-from analysis.samples.block import FORCE, IMU, IMU_ID, Block, Indices, Stamps, block_of
+from analysis.samples.block import IMU, IMU_ID, Block, Indices, Stamps, block_of
 from analysis.samples.sample import Sample, Vector
-from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
+from mavproxy_fault.numerics.polynomial import sin_cos
 from mavproxy_fault.numerics.rotations.rotation_kernel import (
     euler_of_quaternion,
     quaternion_of_euler,
     rotation_matrix,
 )
 
-VELOCITY, POSITION, SIZE = 3, 6, 9  # offsets in x, after the angles; length of x
+Nine = tuple[float, float, float, float, float, float, float, float, float]
+Three = tuple[float, float, float]
+VELOCITY, POSITION = 3, 6  # offsets in x, after the angles
 MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at a pitch of 90 degrees
 
 
-@compiled
-def state_derivative(x: Vector, gyro: Vector, accel: Vector) -> Vector:
-    """The right-hand side: x (9,), gyro (3,) in rad/s, accel (3,) in m/s^2 -> (9,)."""
-    sf, cf, st, ct = sin(x[0]), cos(x[0]), sin(x[1]), cos(x[1])
-    sy, cy = sin(x[2]), cos(x[2])
-    u, v, w = x[VELOCITY], x[VELOCITY + 1], x[VELOCITY + 2]
-    p, q, r = gyro[0], gyro[1], gyro[2]
-    safe = ct if abs(ct) > MIN_COS_PITCH else (MIN_COS_PITCH if ct >= 0.0 else -MIN_COS_PITCH)
+@inlined
+def state_derivative(x: Nine, gyro: Three, accel: Three) -> Nine:
+    """The right-hand side, gyro in rad/s, accel in m/s^2."""
+    roll, pitch, yaw, u, v, w, _, _, _ = x
+    sf, cf = sin_cos(roll)
+    st, ct = sin_cos(pitch)
+    sy, cy = sin_cos(yaw)
+    p, q, r = gyro
+    bound = MIN_COS_PITCH if ct >= 0.0 else -MIN_COS_PITCH
+    inverse = 1.0 / (ct if abs(ct) > MIN_COS_PITCH else bound)
     yaw_part = q * sf + r * cf
-    out = np.empty(SIZE)
-    out[0] = p + yaw_part * st / safe
-    out[1] = q * cf - r * sf
-    out[2] = yaw_part / safe
-    out[VELOCITY] = accel[0] + r * v - q * w - STANDARD_GRAVITY_MPS2 * st
-    out[VELOCITY + 1] = accel[1] + p * w - r * u + STANDARD_GRAVITY_MPS2 * ct * sf
-    out[VELOCITY + 2] = accel[2] + q * u - p * v + STANDARD_GRAVITY_MPS2 * ct * cf
-    out[POSITION] = ct * cy * u + (sf * st * cy - cf * sy) * v + (cf * st * cy + sf * sy) * w
-    out[POSITION + 1] = ct * sy * u + (sf * st * sy + cf * cy) * v + (cf * st * sy - sf * cy) * w
-    out[POSITION + 2] = -st * u + sf * ct * v + cf * ct * w
-    return out
+    return (
+        p + yaw_part * st * inverse,
+        q * cf - r * sf,
+        yaw_part * inverse,
+        accel[0] + r * v - q * w - STANDARD_GRAVITY_MPS2 * st,
+        accel[1] + p * w - r * u + STANDARD_GRAVITY_MPS2 * ct * sf,
+        accel[2] + q * u - p * v + STANDARD_GRAVITY_MPS2 * ct * cf,
+        ct * cy * u + (sf * st * cy - cf * sy) * v + (cf * st * cy + sf * sy) * w,
+        ct * sy * u + (sf * st * sy + cf * cy) * v + (cf * st * sy - sf * cy) * w,
+        -st * u + sf * ct * v + cf * ct * w,
+    )
 
 
-@compiled
-def heun_step(
-    x: Vector, gyro0: Vector, accel0: Vector, gyro1: Vector, accel1: Vector, dt_s: float
-) -> Vector:
-    """One step of x (9,) of length `dt_s` between two samples, rates (3,) in rad/s and specific
-    force (3,) in m/s^2 each."""
-    slope0 = state_derivative(x, gyro0, accel0)
+@inlined
+def add_scaled(x: Nine, slope: Nine, dt_s: float) -> Nine:
+    """x + dt slope."""
+    # Written out, as a loop over a tuple would keep LLVM from making SIMD code of it.
+    roll, pitch, yaw, u, v, w, north, east, down = x
+    d_roll, d_pitch, d_yaw, du, dv, dw, dn, de, dd = slope
+    return (
+        roll + dt_s * d_roll,
+        pitch + dt_s * d_pitch,
+        yaw + dt_s * d_yaw,
+        u + dt_s * du,
+        v + dt_s * dv,
+        w + dt_s * dw,
+        north + dt_s * dn,
+        east + dt_s * de,
+        down + dt_s * dd,
+    )
+
+
+@inlined
+def heun_step(x: Nine, before: tuple[Three, Three], after: tuple[Three, Three], dt: float) -> Nine:
+    """One step between two samples, each rates and specific force."""
+    first = state_derivative(x, before[0], before[1])
     # The second slope is that at the end of the step, with the sample there.
-    slope1 = state_derivative(x + dt_s * slope0, gyro1, accel1)
-    return x + 0.5 * dt_s * (slope0 + slope1)
+    second = state_derivative(add_scaled(x, first, dt), after[0], after[1])
+    return add_scaled(x, add_scaled(first, second, 1.0), 0.5 * dt)
+
+
+@inlined
+def imu_sample(v: Vector) -> tuple[Three, Three]:
+    """Rates and specific force of a sample (6,)."""
+    return (v[0], v[1], v[2]), (v[3], v[4], v[5])
 
 
 @compiled
@@ -91,7 +117,8 @@ def integrate_block(
             before = v
         dt_s = (t_us[i] - now_us) * 1e-6
         if 0.0 < dt_s <= MAX_GAP_S:
-            x = heun_step(x, before[:FORCE], before[FORCE:], v[:FORCE], v[FORCE:], dt_s)
+            start = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8])
+            x = np.array(heun_step(start, imu_sample(before), imu_sample(v), dt_s))
         before, now_us = v, max(t_us[i], now_us)
         q = quaternion_of_euler(x[0], x[1], x[2])
         when[done] = now_us

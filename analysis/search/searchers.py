@@ -9,7 +9,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.ask_tell import AskTellAdapter, Function
 from mavproxy_fault.documents.errors import ConfigError
 
 Array = NDArray[np.float64]
@@ -138,39 +137,45 @@ def cma_strategy(x: Array, sigma: float, size: int, rng: np.random.Generator) ->
 
 
 class DifferentialEvolutionSearch:
-    """SciPy's differential evolution, best/1/bin, a generation at a time."""
+    """Differential evolution, best/1/bin [1]_, with the parameters of SciPy's.
+
+    A trial is the best point plus a scaled difference of two others, crossed with its own point,
+    which it replaces if it is at least as good.
+
+    References
+    ----------
+    .. [1] Storn and Price, Journal of Global Optimization 11, 1997.
+    """
+
+    SIZE = 65
+    SCALE, CROSSED = (0.5, 1.0), 0.7  # drawn for each generation; share of values from the trial
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
-        from scipy.optimize import Bounds, differential_evolution
-
-        def minimise(function: Function) -> None:
-            def of_columns(x: Any, /) -> Any:
-                return function(x.T)
-
-            differential_evolution(
-                of_columns,
-                Bounds(np.zeros(dimension), np.ones(dimension)),
-                # SciPy multiplies this by the dimension: about 65 points per generation.
-                popsize=max(1, 65 // dimension),
-                # The budget ends it.
-                maxiter=1_000_000,
-                tol=0.0,
-                # Polishing would call the function one point at a time.
-                polish=False,
-                vectorized=True,
-                updating="deferred",
-                rng=np.random.default_rng([seed, 5]),
-            )
-
-        self._solver = AskTellAdapter(minimise)
+        self._rng = np.random.default_rng([seed, 5])
+        self._points = self._rng.random((self.SIZE, dimension))
+        self._fitness = np.full(self.SIZE, -np.inf)
 
     def ask(self) -> Array:
-        """A generation."""
-        return self._solver.ask()
+        """A generation; at first that of the start."""
+        if self._fitness[0] == -np.inf:
+            return self._points
+        shape, rng = self._points.shape, self._rng
+        # Columns of random permutations: two others for each point, different from each other.
+        one, other = rng.permuted(np.tile(np.arange(self.SIZE), (self.SIZE, 1)), axis=1)[:, :2].T
+        step = rng.uniform(*self.SCALE) * (self._points[one] - self._points[other])
+        trial = self._points[np.argmax(self._fitness)] + step
+        crossed = rng.random(shape) < self.CROSSED
+        # One value at least comes from the trial.
+        crossed[np.arange(self.SIZE), rng.integers(shape[1], size=self.SIZE)] = True
+        trial = np.where(crossed, trial, self._points)
+        inside = (trial >= 0.0) & (trial <= 1.0)
+        return np.where(inside, trial, rng.random(shape))
 
     def report(self, points: Array, fitness: Array) -> None:
-        """The generation's fitness."""
-        self._solver.report(-fitness)
+        """Keep the better of each point and its trial."""
+        better = fitness >= self._fitness
+        self._points = np.where(better[:, None], points, self._points)
+        self._fitness = np.where(better, fitness, self._fitness)
 
 
 class MixedSearch:

@@ -169,7 +169,7 @@ def tick(
     measure(buf, generators, k, plan)
     if plan.estimator == 0:
         if k > 0:
-            heun(buf, plan.dt_s, plan.gravity_mps2)
+            heun(buf, plan.dt_s)
         keep(buf)
         if plan.angle:
             attitudes(buf)

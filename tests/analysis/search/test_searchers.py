@@ -50,6 +50,12 @@ def test_a_searcher_goes_on_after_it_has_converged(method):
     assert values.max() > 0.99
 
 
+@pytest.mark.parametrize("method", METHODS)
+def test_a_searcher_goes_on_where_all_points_are_alike(method):
+    points, _ = search(method, 1, 400, lambda points: np.zeros(len(points)))
+    assert len(points) >= 400
+
+
 def test_a_searcher_leaves_numpys_global_generator_alone():
     np.random.seed(1)  # noqa: NPY002
     before = np.random.get_state()[1].copy()  # noqa: NPY002

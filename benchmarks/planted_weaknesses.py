@@ -1,0 +1,232 @@
+"""Does `search --violate` find planted weaknesses? Prints a table for docs/falsification.md.
+
+python benchmarks/planted_weaknesses.py [NAME ...]
+
+Each weakness is one wrong parameter of an estimator, or of the simulator's own controller. The
+limit of the requirement is not chosen: it is 1.5 times the worst that the healthy subject shows in
+32 flights of the same space. Then the search, with reduction, and random search run with at most
+100 flights each, and the reduced counterexample is flown again with the healthy subject, which
+must meet the requirement there.
+"""
+
+import contextlib
+import io
+import json
+import shlex
+import sys
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import yaml
+
+from analysis import estimators
+from analysis.estimators.complementary import Mahony
+from analysis.estimators.ekf import Ekf
+from analysis.flying.worker_pool import InProcessPool
+from analysis.search.archive import Archive
+from analysis.search.history import RECORD
+from analysis.search.search_command import search_cases
+from analysis.search.space.test_file import read_test
+from mavproxy_fault import cli
+from simvehicle.guidance import multirotor_controller as controller
+
+BUDGET, HEALTHY_FLIGHTS, MARGIN = 100, 32, 1.5
+MISSION = [{"shape": "s", "size_m": 40, "height_m": 20, "speed_mps": 5, "laps": 3}]
+QUAD = {
+    "name": "quad", "duration_s": 6, "start": {"height_m": 20},
+    "vehicle": {"kind": "multirotor", "parameters": "iris"},
+    "sensors": {"imu": {"preset": "consumer-mems", "rate_hz": 100},
+                "mag": {"preset": "consumer-mag", "rate_hz": 25},
+                "gps": {"preset": "consumer", "rate_hz": 5}},
+}  # fmt: skip
+WHEN = {"at_s": [1, 3], "for_s": [1, 5]}
+# Faults of one sensor, as large as consumer sensors have them.
+SENSORS = [
+    {
+        "fault": "bias",
+        "any_of": [f"HIL_SENSOR.{a}gyro" for a in "xyz"],
+        "value": [-0.1, 0.1],
+        **WHEN,
+    },
+    {
+        "fault": "bias",
+        "any_of": [f"HIL_SENSOR.{a}acc" for a in "xyz"],
+        "value": [-1.0, 1.0],
+        **WHEN,
+    },
+    {
+        "fault": "bias",
+        "any_of": [f"HIL_SENSOR.{a}mag" for a in "xy"],
+        "value": [-0.05, 0.05],
+        **WHEN,
+    },
+    {"fault": "bias", "any_of": ["HIL_GPS.vn", "HIL_GPS.ve"], "value": [-100, 100], **WHEN},
+    {"fault": "drop", "target": "HIL_GPS", **WHEN},
+    {"fault": "freeze", "target": "HIL_SENSOR.xmag", **WHEN},
+]
+PLANT = [
+    {
+        "fault": "plant",
+        "any_of": ["PLANT.wind_n_mps", "PLANT.wind_e_mps"],
+        "value": [-8, 8],
+        **WHEN,
+    },
+    {"fault": "plant", "target": "PLANT.wind_d_mps", "value": [-2, 2], **WHEN},
+]
+WIND = {f"environment.wind_ned_mps[{i}]": [-4, 4] for i in (0, 1)}
+ATTITUDE = ("attitude_error_deg", "always(attitude_error_deg < {})")
+PLACE = ("distance_m", "always(distance_m < {})")
+HEIGHT = ("height_m", "always(abs(height_m - 20) < {})")
+
+
+class Weakness:
+    """A wrong parameter of the estimator that `factory` makes, or `constants` of the controller."""
+
+    def __init__(
+        self,
+        factory: Callable[[], Any] = Ekf,
+        healthy: Callable[[], Any] = Ekf,
+        requirement: tuple[str, str] = ATTITUDE,
+        faults: list[dict[str, Any]] = SENSORS,
+        scenario: dict[str, Any] | None = None,
+        **constants: float,
+    ) -> None:
+        self.factory, self.healthy, self.constants = factory, healthy, constants
+        self.requirement, self.faults, self.scenario = (
+            requirement,
+            faults,
+            scenario or QUAD | {"mission": MISSION},
+        )
+
+    @contextlib.contextmanager
+    def planted(self, wrong: bool) -> Iterator[None]:
+        """The estimator `planted` and the controller, wrong or healthy."""
+        right = {name: getattr(controller, name) for name in self.constants}
+        sys.modules[__name__].make_planted = self.factory if wrong else self.healthy
+        estimators.BUILT_IN["planted"] = f"{__name__}:make_planted"
+        for name, value in self.constants.items():
+            setattr(controller, name, value if wrong else right[name])
+        try:
+            yield
+        finally:
+            for name, value in right.items():
+                setattr(controller, name, value)
+
+
+def ekf(**parameters: Any) -> Weakness:
+    return Weakness(lambda: Ekf(**parameters))
+
+
+def mahony(**parameters: Any) -> Weakness:
+    return Weakness(lambda: Mahony(**parameters), Mahony)
+
+
+def hover(requirement: tuple[str, str], **constants: float) -> Weakness:
+    return Weakness(requirement=requirement, faults=PLANT, scenario=QUAD, **constants)
+
+
+WEAKNESSES = {
+    "EKF: GPS timeout 1e6 s": ekf(gps_timeout_s=1e6),
+    "EKF: GPS timeout 0.3 s": ekf(gps_timeout_s=0.3, gravity_sigma_mps2=0.02),
+    "EKF: trusts GPS velocity (0.01 m/s)": ekf(velocity_sigma_mps=0.01),
+    "EKF: ignores GPS velocity (50 m/s)": ekf(velocity_sigma_mps=50.0),
+    "EKF: trusts the compass (0.001 rad)": ekf(heading_sigma_rad=0.001),
+    "EKF: ignores the compass (10 rad)": ekf(heading_sigma_rad=10.0),
+    "EKF: learns no gyro bias": ekf(bias_density=1e-9, start_sigma=(0.05, 1e-6, 0.5)),
+    "EKF: gyro bias wanders (0.05)": ekf(bias_density=0.05),
+    "EKF: trusts the gyro (1e-6)": ekf(gyro_density=1e-6),
+    "EKF: trusts the accelerometer (1e-4)": ekf(accel_density=1e-4, velocity_sigma_mps=0.02),
+    "Mahony: no tilt gain": mahony(tilt_gain=0.0),
+    "Mahony: tilt gain 10": mahony(tilt_gain=10.0),
+    "Mahony: no heading gain": mahony(heading_gain=0.0),
+    "Mahony: heading gain 20": mahony(heading_gain=20.0),
+    "Mahony: bias gain 2": mahony(bias_gain=2.0),
+    "Mahony: no bias gain": mahony(bias_gain=0.0),
+    "controller: no integral": hover(PLACE, _INTEGRAL_GAIN=0.0),
+    "controller: tilt limit 3 degrees": hover(PLACE, _HORIZONTAL_ACCEL_MPS2=0.5),
+    "controller: speed gain a tenth": hover(PLACE, _SPEED_GAIN=0.25),
+    "controller: height gain a twentieth": hover(HEIGHT, _HEIGHT_GAIN=0.06),
+}  # fmt: skip
+
+
+def write_search(folder: Path, weakness: Weakness, limit: float, budget: int) -> Path:
+    (folder / "quad.yaml").write_text(yaml.safe_dump(weakness.scenario))
+    required = weakness.requirement[1].format(f"{limit:.4g}")
+    test = {
+        "scenario": "quad.yaml", "estimator": "planted", "violate": required, "at_once": [1, 2],
+        "vary": WIND, "budget": budget, "keep": 1, "faults": weakness.faults, "rescore_draws": 5,
+    }  # fmt: skip
+    (folder / "search.yaml").write_text(yaml.safe_dump(test))
+    return folder / "search.yaml"
+
+
+def first_violation(folder: Path) -> int | None:
+    """The number of flights up to the first violation, from the search's history."""
+    fitness = np.frombuffer((folder / "history.bin").read_bytes(), RECORD)["fitness"]
+    return int(np.argmax(fitness > 0.0)) + 1 if (fitness > 0.0).any() else None
+
+
+def healthy_worst(folder: Path, weakness: Weakness) -> float:
+    """The worst value of the required signal in flights of the healthy subject."""
+    test = read_test(write_search(folder, weakness, 1e-3, HEALTHY_FLIGHTS))
+    archive = Archive(1)
+    with weakness.planted(wrong=False):
+        search_cases(test, InProcessPool(), folder / "healthy", archive, Counter(), None)
+    return archive.cases[0].fitness + 1e-3
+
+
+def measure(name: str, weakness: Weakness, limits: dict[str, float]) -> str:
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        key = f"{weakness.healthy} {weakness.requirement}"
+        if key not in limits:
+            limits[key] = MARGIN * healthy_worst(folder, weakness)
+        file = str(write_search(folder, weakness, limits[key], BUDGET))
+        row = [name, f"{weakness.requirement[0]} < {limits[key]:.3g}"]
+        with weakness.planted(wrong=True), contextlib.redirect_stdout(io.StringIO()):
+            cli.main(["search", file, "--first", "--out", str(folder / "found")])
+            random = folder / "random"
+            test = msgspec.structs.replace(read_test(file), method="random", first=True)
+            search_cases(test, InProcessPool(), random, Archive(1), Counter(), None)
+        row += [
+            str(first_violation(folder / "found") or "not found"),
+            str(first_violation(random) or "not found"),
+        ]
+        found = json.loads((folder / "found" / "search-summary.json").read_text())[
+            "counterexamples"
+        ]
+        if not found:
+            return " | ".join([*row, "", "", ""])
+        kinds = "; ".join(f"{one['fault']} {one['target']}" for one in found[0]["faults"]) or "none"
+        with weakness.planted(wrong=False), contextlib.redirect_stdout(io.StringIO()):
+            words = shlex.split(found[0]["command"])[1:]
+            code = cli.main(
+                [*words, "--out", str(folder / "again"), "--zenoh", "off", "--no-report"]
+            )
+            judged = json.loads((folder / "again" / "summary.json").read_text())["requirements"]
+        assert code in (0, 1)
+        row += [
+            kinds,
+            f"{found[0]['failed']} of {found[0]['flown']}",
+            "met" if judged[0]["met"] else "violated",
+        ]
+        return " | ".join(row)
+
+
+def main(names: list[str]) -> None:
+    limits: dict[str, float] = {}
+    print("| weakness | requirement | search | random | counterexample | again | healthy |")
+    print("|---|---|---|---|---|---|---|")
+    for name, weakness in WEAKNESSES.items():
+        if not names or any(part in name for part in names):
+            print(f"| {measure(name, weakness, limits)} |", flush=True)
+
+
+if __name__ == "__main__":
+    sys.modules["planted_weaknesses"] = sys.modules[__name__]
+    main(sys.argv[1:])
