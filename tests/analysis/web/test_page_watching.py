@@ -255,6 +255,16 @@ def test_the_page_stays_with_the_verdict_when_its_flight_ends(
     assert page.complaints == []
 
 
+def test_nobody_is_kept_from_the_page(
+    page: Any, loop: Any, find_barriers: Callable[[Any], list[str]]
+) -> None:
+    loop.epoch(10.0, excluded=("G12",))
+    loop.sensor(10.0, "mag", 40.0, bad=True)
+    page.wait_for_selector("#verdict.alarm:has-text('magnetometer')")
+    page.wait_for_selector("#preview canvas")
+    assert find_barriers(page) == []
+
+
 def test_isolation_is_shown_without_any_satellite_epoch(page: Any, loop: Any) -> None:
     # As where there is no receiver: verdicts on sensors alone.
     loop.steps_left = 0
