@@ -53,6 +53,32 @@ def browser() -> Iterator[Any]:
         found.close()
 
 
+WIDTHS_PX = (390, 1024, 1440)  # a telephone, a tablet on its side, a desk
+
+
+@pytest.fixture(scope="session")
+def find_barriers() -> Callable[[Any], list[str]]:
+    """What axe-core finds on an open page, in light and dark, and where it scrolls sideways."""
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+
+    def find(page: Any) -> list[str]:
+        found = []
+        page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            for width_px in WIDTHS_PX:
+                page.set_viewport_size({"width": width_px, "height": 900})
+                page.wait_for_timeout(200)  # the plots take the new width
+                where = f"{scheme}, {width_px} px: "
+                if page.evaluate("document.documentElement.scrollWidth > innerWidth"):
+                    found.append(where + "scrolls sideways")
+                for one in axe.run(page).response["violations"]:
+                    found += [f"{where}{one['help']}: {node['html']}" for node in one["nodes"]]
+        return found
+
+    return find
+
+
 @pytest.fixture(scope="session")
 def install_package() -> Callable[[Path], None]:
     """Install a package of a folder that is then on the PYTHONPATH."""

@@ -131,7 +131,7 @@ def test_the_action_installs_its_own_checkout(tmp_path: Path) -> None:
             text=True,
             check=True,
         )
-        assert done.stdout.splitlines()[-1] == f"install -q {installed}"
+        assert done.stdout.splitlines()[-1] == f"install -q --no-compile {installed}"
 
 
 @pytest.mark.parametrize(

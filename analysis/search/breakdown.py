@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from analysis.estimators import make_estimator
 from analysis.scoring.attitude_scores import ErrorBins, flight_phases, score_breakdown
 from analysis.search.evaluation.compiled_batch import (
-    COMPILED_ESTIMATORS,
     Batch,
     ned_velocity,
     start_filters,
@@ -23,7 +22,7 @@ from analysis.search.evaluation.traced_flight import (
     with_all_sensors,
 )
 from analysis.search.shrink import pin_values
-from analysis.search.space.test_file import TestFile
+from analysis.search.space.test_file import COMPILED_ESTIMATORS, TestFile
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
 INVERTED_STATES = ("height_m", "airspeed_mps", "position_m")

@@ -146,7 +146,7 @@ def run_search(
     # This takes as long as many tests.
     say = say or str
     say(f"rescoring the worst {len(archive.cases)}, {test.rescore_draws} flights each")
-    ranked = rescore_cases(test, pool, archive.cases)[: test.keep]
+    ranked = rescore_cases(test, pool, archive.cases, progress)[: test.keep]
     cases = []
     for rank, (case, outcome) in enumerate(ranked, 1):
         error = float(outcome.fitness[0])
@@ -241,7 +241,7 @@ def records_of(outcome: EvaluationOutcome) -> np.ndarray[tuple[int], np.dtype[np
 
 
 def rescore_cases(
-    test: TestFile, pool: WorkerPool, cases: list[Case]
+    test: TestFile, pool: WorkerPool, cases: list[Case], progress: Progress | None = None
 ) -> list[tuple[Case, EvaluationOutcome]]:
     """Candidates within the envelope with their error on fresh noise, worst first."""
     # A fitness of zero or less: the flight left the envelope.
@@ -250,10 +250,13 @@ def rescore_cases(
         return []
     # Fresh noise removes the selection bias of the best of many.
     seed, draws = test.seed + FRESH_SEED_OFFSET, test.rescore_draws
-    rescored = [
-        (case, evaluate_with(pool, test, case.point[None, :], seed, case.number, draws))
-        for case in valid
-    ]
+    worst = max(case.fitness for case in valid)
+    rescored: list[tuple[Case, EvaluationOutcome]] = []
+    for case in valid:
+        outcome = evaluate_with(pool, test, case.point[None, :], seed, case.number, draws)
+        rescored.append((case, outcome))
+        if progress is not None:
+            progress(len(rescored), worst, len(valid))
     return sorted(rescored, key=lambda pair: -pair[1].fitness[0])
 
 

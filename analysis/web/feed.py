@@ -6,6 +6,8 @@ the bus or another viewer. Viewers request the messages whose values they show.
 """
 
 import asyncio
+import shlex
+import sys
 import threading
 from collections import deque
 from collections.abc import Iterable
@@ -22,7 +24,7 @@ MAX_QUEUED_BATCHES = 25  # batches a viewer may lag: one second of ticks
 EVENT_KEYS = ("fdi/events", "proxy/labels")  # no sample is dropped
 SAMPLES_PER_TICK = 25  # samples of one key per tick: a monitor publishes its results once a second
 CURVE_SAMPLES = 300  # samples of a curve in the snapshot: a minute at 5 Hz
-CURVE_KEYS = ("fdi/main/", "att/")
+CURVE_KEYS = ("fdi/", "att/")
 # Keys of which only the newest sample is kept.
 STATE_KEYS = ("schedule/state", "proxy/stats", "proxy/recording", "page/status")
 MAX_KEYS = 500  # bounds the memory of a run
@@ -86,10 +88,12 @@ class Feed:
         self.add_sample(STATUS_KEY, msgspec.json.encode(state))
 
     def announce_end(self, verdict: str, report: Path | None) -> None:
-        """Announce the end of the flight and the location of its report to the viewers."""
+        """Announce the end of the flight to the viewers, with its report and its command."""
         self.report = report
         path = None if report is None else str(report)
-        self.add_sample(END_KEY, msgspec.json.encode({"verdict": verdict, "report": path}))
+        again = shlex.join(["mavproxy-fault", *sys.argv[1:]])
+        end = {"verdict": verdict, "report": path, "again": again}
+        self.add_sample(END_KEY, msgspec.json.encode(end))
 
     def clear_run(self) -> None:
         """Drop the samples of a run that has ended; the status is kept."""

@@ -1,5 +1,6 @@
 """Progress messages of a running simulator, on standard error."""
 
+import os
 import sys
 from typing import TextIO
 
@@ -28,7 +29,7 @@ class Progress:
     def step(self, t_us: int, now_s: float, note: str = "") -> None:
         """Write the progress if it is due; called each step."""
         span_s = now_s - self._last_s
-        if span_s < self._period_s:
+        if span_s < self._period_s or (self._terminal and not self._in_foreground()):
             return
         speed = (t_us - self._last_us) * 1e-6 / span_s
         line = f"{t_us * 1e-6:8.1f} s simulated, {speed:.1f} times real time{note}"
@@ -44,6 +45,13 @@ class Progress:
         wall_s = max(now_s - self._start_s, 1e-9)
         speed = t_us * 1e-6 / wall_s
         self.say(f"{t_us * 1e-6:.1f} s simulated in {wall_s:.1f} s, {speed:.1f} times real time")
+
+    def _in_foreground(self) -> bool:
+        """Whether the terminal's user waits for this process; else he types over its line."""
+        try:
+            return os.tcgetpgrp(self._out.fileno()) == os.getpgrp()
+        except (AttributeError, OSError):  # Windows; a terminal that controls another session
+            return True
 
     def _end_line(self) -> None:
         if self._open:

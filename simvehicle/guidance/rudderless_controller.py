@@ -56,15 +56,17 @@ class RudderlessController(FixedWingController):
         return scale * float(aileron * bank - gains @ (lateral - turn * bank))
 
     def _regulator(self, point: TrimPoint) -> _Regulator:
-        from scipy.linalg import solve_continuous_are
-
         vehicle = self.vehicle
         a, b = linearise_trim(
             point, vehicle.body, vehicle.aero, self._density, STANDARD_GRAVITY_MPS2
         )
         a, b = a[np.ix_(LATERAL, LATERAL)], b[LATERAL, _AILERON : _AILERON + 1]
         weights = np.diag(1.0 / np.square(_EQUAL_COST))
-        cost = solve_continuous_are(a, b, weights, [[1.0 / _EQUAL_COST_AILERON**2]])
+        control = b @ b.T * _EQUAL_COST_AILERON**2
+        # The Riccati equation's solution spans the stable half of the Hamiltonian's eigenvectors.
+        values, vectors = np.linalg.eig(np.block([[a, -control], [-weights, -a.T]]))
+        upper, lower = np.split(vectors[:, values.real < 0.0], 2)
+        cost = np.real(lower @ np.linalg.inv(upper))
         gains = (b.T @ cost)[0] * _EQUAL_COST_AILERON**2
         # In a steady turn v, p, r and the aileron follow from the roll angle.
         fixed = np.column_stack([np.delete(a, _ROLL, axis=1), b])

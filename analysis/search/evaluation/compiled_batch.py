@@ -40,7 +40,7 @@ from analysis.search.space.dimensions import (
     space_of,
 )
 from analysis.search.space.point_scenario import altitude_of
-from analysis.search.space.test_file import StateScales, TestFile
+from analysis.search.space.test_file import COMPILED_ESTIMATORS, StateScales, TestFile
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from simvehicle.environment.air import GUST_LEVELS
@@ -56,7 +56,7 @@ FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
 HEUN = 0
 INVERTED_CRITERIA = {"height": HEIGHT, "airspeed": AIRSPEED, "position": POSITION}
 NO_AERO = Aero(*[0.0] * len(Aero._fields))
-COMPILED_ESTIMATORS = {"inverse-model": HEUN, "complementary": MAHONY, "mahony": MAHONY, "ekf": EKF}
+KERNELS = dict(zip(COMPILED_ESTIMATORS, (HEUN, MAHONY, MAHONY, EKF), strict=True))
 
 
 class EvaluationOutcome(NamedTuple):
@@ -212,7 +212,7 @@ def plan_of(test: TestFile, airframe: Airframe) -> Plan:
             test.static_pressure == "linear",
             float(np.exp(-test.position_k_per_s / VELOCITY_HZ)),
         ),
-        estimator=COMPILED_ESTIMATORS.get(test.estimator, HEUN),
+        estimator=KERNELS.get(test.estimator, HEUN),
         tunings=tunings_of(test.estimator),
         sea_density_kgpm3=SEA_LEVEL_DENSITY_KGPM3,
         limits=envelope_of(test),
@@ -269,7 +269,7 @@ def start_filters(name: str, columns: Array) -> Array:
     count = columns.shape[1]
     filters = np.zeros((count, FILTER_SIZE))
     # Without a filter in the kernel any attitude is valid.
-    if COMPILED_ESTIMATORS.get(name, HEUN) == HEUN:
+    if KERNELS.get(name, HEUN) == HEUN:
         filters[:, 0] = 1.0
         return filters
     estimator = make_estimator(name)
@@ -281,7 +281,7 @@ def start_filters(name: str, columns: Array) -> Array:
         filters[:, HEARD], filters[:, LEVELLED] = -estimator.tuning.gps_timeout_s, 0.0
     q = columns[rows.STATE + 6 : rows.STATE + 10]
     filters[:, :4] = q.T
-    if COMPILED_ESTIMATORS[name] == EKF:
+    if KERNELS[name] == EKF:
         filters[:, 7:10] = ned_velocity(q, columns[rows.STATE + 3 : rows.STATE + 6]).T
     return filters
 

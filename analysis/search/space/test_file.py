@@ -25,8 +25,10 @@ MOST_AT_ONCE = 3  # faults of a catalogue: more than three are no simple counter
 SIMULATOR_ESTIMATORS = (AUTOPILOT, "fusion")  # estimators that need the simulator's frames
 # The number of slots in `rows`.
 SLOTS = 4  # faults at once in the compiled kernels
-# A flight in the simulator takes about a second, in which the kernels fly thousands
-SIMULATOR_DEFAULTS = {"budget": 200, "keep": 3, "noise_draws": 1, "rescore_draws": 5}
+COMPILED_ESTIMATORS = ("inverse-model", "complementary", "mahony", "ekf")
+# In the simulator, or with an estimator in Python, a flight takes up to a second, in which the
+# kernels fly thousands
+SLOW_DEFAULTS = {"budget": 200, "keep": 3, "noise_draws": 1, "rescore_draws": 5}
 NO_ENVELOPE = {
     "pitch_deg": 90.0, "alpha_deg": 180.0, "beta_deg": 90.0, "airspeed_mps": [0.0, 1000.0],
     "rate_dps": 1e5, "load_g": 1e3, "height_m": -1e4,
@@ -303,9 +305,10 @@ def read_test(path: Path | str) -> TestFile:
         raise ConfigError(f"{path}:1: has no keys; a test file is a YAML mapping")
     refuse_other_kinds(data, TestFile.__struct_fields__, str(path), "a search")
     named = data.get("scenario")
-    if named is not None or data.get("estimator") in SIMULATOR_ESTIMATORS:
+    estimator = data.get("estimator", COMPILED_ESTIMATORS[0])
+    if named is not None or estimator not in COMPILED_ESTIMATORS:
         # The file's own values override the defaults.
-        data = {**SIMULATOR_DEFAULTS, **data}
+        data = {**SLOW_DEFAULTS, **data}
     if isinstance(named, str):
         data["scenario"] = msgspec.to_builtins(read_scenario(Path(path).parent / named))
     if isinstance(named, str | dict):

@@ -68,14 +68,14 @@ async function showEnd(news) {
   place.className = "there";
   document.body.classList.remove("lost");
   place.textContent = `The flight has ended: ${news.verdict}. `;
-  if (!news.report) return;
-  const path = make("code", { textContent: news.report });
-  place.append("Report: ", path);
+  if (news.report) place.append("Report: ", make("code", { textContent: news.report }));
   try {
-    const page = await (await fetch("/api/report")).blob();
-    const name = news.report.split("/").slice(-2).join("-");
-    place.append(" ", make("a", { textContent: "save it", download: name, href: URL.createObjectURL(page) }));
+    if (news.report) {
+      const href = URL.createObjectURL(await (await fetch("/api/report")).blob()), download = news.report.split("/").slice(-2).join("-");
+      place.append(" ", make("a", { textContent: "open it", target: "_blank", href }), " ", make("a", { textContent: "save it", download, href }));
+    }
   } catch { /* the server has left: the path remains */ }
+  place.append(". Fly again: ", make("code", { textContent: news.again }));
 }
 
 const HANDLERS = {

@@ -56,6 +56,12 @@ def opened(browser: Any, flight: Flight, tmp_path: Path) -> Iterator[Opened]:
     found.page.close()
 
 
+def test_nobody_is_kept_from_a_report(
+    opened: Opened, find_barriers: Callable[[Any], list[str]]
+) -> None:
+    assert find_barriers(opened.page) == []
+
+
 def test_a_report_opens_without_errors_and_loads_nothing(opened: Opened) -> None:
     opened.page.evaluate("report.all()")
     assert opened.errors == []

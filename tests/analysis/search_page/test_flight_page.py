@@ -4,7 +4,7 @@ import json
 import threading
 import urllib.error
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -133,6 +133,11 @@ def page(browser: Any, address: str) -> Iterator[Any]:
     yield found
     assert complaints == []
     found.close()
+
+
+@pytest.mark.browser
+def test_nobody_is_kept_from_the_page(page: Any, find_barriers: Callable[[Any], list[str]]) -> None:
+    assert find_barriers(page) == []
 
 
 @pytest.mark.browser

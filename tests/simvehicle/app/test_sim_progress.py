@@ -1,4 +1,9 @@
+import contextlib
 import io
+import os
+import pty
+import shlex
+import sys
 
 from simvehicle.app.sim_progress import Progress
 
@@ -29,6 +34,23 @@ def test_on_a_terminal_the_progress_line_is_overwritten_and_messages_follow_it()
     assert text.count("\n") == 2
     assert text.count("\r") == 2
     assert text.endswith("2.0 s simulated, 1.0 times real time\nstopped\n")
+
+
+def test_in_the_background_the_line_is_not_written_over_what_the_user_types() -> None:
+    # A shell that starts the program behind itself, on a terminal of its own.
+    program = "import sys; from simvehicle.app.sim_progress import Progress\n"
+    program += "out = Progress(0.0); out.step(1, 1.0); out.say('stopped')"
+    shell = f"set -m; {sys.executable} -c {shlex.quote(program)} & wait"
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.execvp("bash", ["bash", "-c", shell])
+    text = b""
+    with contextlib.suppress(OSError):  # the terminal's end
+        while part := os.read(terminal, 1000):
+            text += part
+    os.waitpid(pid, 0)
+    assert b"stopped" in text
+    assert b"simulated" not in text
 
 
 def test_the_summary_reports_the_average_speed_of_the_flight() -> None:

@@ -1,5 +1,6 @@
 """The page of a running campaign."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +84,9 @@ def test_an_open_heat_map_refreshes_and_keeps_the_selected_cell(
 
 
 @pytest.mark.browser
-def test_a_campaigns_page_fits_a_window_that_becomes_narrow(tmp_path: Path, browser: Any) -> None:
+def test_a_campaigns_page_is_for_all_and_fits_a_window_that_becomes_narrow(
+    tmp_path: Path, browser: Any, find_barriers: Callable[[Any], list[str]]
+) -> None:
     plan = plan_of()
     store = ResultsStore(tmp_path, plan.campaign)
     evidence = {"ekf": Evidence({ATTITUDE: EvidenceCurve([0.0, 1.0], [0.0, 2.0])})}
@@ -98,5 +101,6 @@ def test_a_campaigns_page_fits_a_window_that_becomes_narrow(tmp_path: Path, brow
             "document.documentElement.scrollWidth <= innerWidth"
             " && document.querySelector('.uplot').offsetWidth <= innerWidth"
         )
+    assert find_barriers(shown) == []
     shown.close()
     store.close()

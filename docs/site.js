@@ -1,0 +1,12 @@
+"use strict";
+// Names for the parts of the theme that have none, so that a screen reader can tell them apart.
+
+function nameParts() {
+  document.querySelector(".md-search")?.setAttribute("aria-label", "Search");
+  document.querySelector(".md-search__options")?.setAttribute("aria-label", "Search options");
+  document.querySelectorAll(".md-typeset__scrollwrap").forEach((one) => { one.tabIndex = 0; }); // scrolled by keys
+  document.querySelectorAll(".md-code__nav").forEach((one, n) => one.setAttribute("aria-label", `Code block ${n + 1}`));
+}
+
+nameParts();
+new MutationObserver(nameParts).observe(document.body, { childList: true, subtree: true }); // the theme adds them later
