@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from msgspec import Meta
 
 from mavproxy_fault.fault_parts.fault import LinkFault, Outgoing
-from mavproxy_fault.fault_parts.rules import Drawn, Effect, Numbers, RuleLinkFault, link_rule
+from mavproxy_fault.fault_parts.rules import Effect, Numbers, RuleLinkFault, link_rule
 from mavproxy_fault.faults.loss import Share
 from mavproxy_fault.faults.timing import choose_share
 from mavproxy_fault.wire.frame import Frame
@@ -64,18 +64,15 @@ class Truncate(RuleLinkFault, frozen=True, kw_only=True):
     value: Share = 1.0
     count: Annotated[int, Meta(ge=1)] = 4
 
-    @property
-    def drawn(self) -> Drawn:
-        """One to choose the frame."""
-        return "random" if self.value < 1.0 else ""
-
     def numbers(self) -> Numbers:
         """Return share and number of bytes."""
         return self.value, float(self.count)
 
 
 @link_rule
-def skip_numbers(t_us: float, p: Numbers, at: int, m: Any, place: int, u: float, v: float) -> int:
+def skip_numbers(
+    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
+) -> int:
     """Advance the offset of the sequence number, `m[place + 1]`, at a share of the frames."""
     if u < p[at]:
         m[place + 1] = (m[place + 1] + p[at + 1]) % 256.0  # it wraps like the sender's counter
@@ -97,11 +94,6 @@ class SequenceGap(RuleLinkFault, frozen=True, kw_only=True):
 
     value: Share = 0.1
     count: Annotated[int, Meta(ge=1, le=255)] = 1
-
-    @property
-    def drawn(self) -> Drawn:
-        """One to choose the frame."""
-        return "random"
 
     def numbers(self) -> Numbers:
         """Return share and number of skipped numbers."""
