@@ -332,7 +332,13 @@ class Server:
             self.join(live)
 
     def _maintain_links(self) -> None:
-        """Let links reconnect, and collect the counters of the compiled path."""
+        """Let links reconnect or be interrupted, and collect the counters of the compiled path."""
+        engine: Any = self.core.engine
+        ways = {} if engine is None else engine.interrupted
+        for number, link in enumerate(self.links):
+            interrupt: Any = getattr(link, "interrupt", None)
+            if interrupt is not None:
+                interrupt(next((ways[one] for one in ways if one >> number & 1), "kept"))
         for number in range(len(self.links)):
             # Links outside the compiled path, such as streams, are read here.
             if self._forwarder is None or not self._forwarder.serves(number):

@@ -26,7 +26,7 @@ from mavproxy_fault.wire.framing import range_crc
 SKIPPED, SIGNED = -1, -2  # places of entries that do not act on a frame, as it is signed
 
 _value_rule = choose(value_rules(), "x, i, t_s, p, at, m, place, u")
-_link_rule = choose(link_rules(), "t_us, p, at, m, place, u, v")
+_link_rule = choose(link_rules(), "t_us, size, p, at, m, place, u, v")
 
 
 @kernel
@@ -105,9 +105,9 @@ def is_ready(
             shared.places[place] = 0
             if signed and not entry[k.SEALED_TOO]:
                 shared.places[place] = SIGNED
+            elif _own_time(entry, t_us, shared) >= entry[k.UNTIL]:
+                return False
             elif entry[k.EFFECT] == k.IDLE:
-                if _own_time(entry, t_us, shared) >= entry[k.START]:
-                    return False
                 shared.places[place] = SKIPPED
             elif entry[k.REMEMBERS]:
                 found = _find_memory(step[k.ENTRY], number, sender, from_vehicle, instance, shared)
@@ -208,8 +208,11 @@ def _act_on_frame(
     u = _draw(entry, shared)
     v = _draw(entry, shared) if entry[k.DRAW_COUNT] > 1 else 0.0
     at = step[k.NUMBERS_FROM]
+    size = items[item, k.LENGTH_OF]
     number = i64(
-        _link_rule(entry[k.RULE], np.float64(t_us), shared.numbers, at, shared.memory, place, u, v)
+        _link_rule(
+            entry[k.RULE], np.float64(t_us), size, shared.numbers, at, shared.memory, place, u, v
+        )
     )
     if number == 0:
         return -1

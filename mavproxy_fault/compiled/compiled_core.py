@@ -244,7 +244,7 @@ class CompiledCore:
         engine: Any = core.engine
         if engine is not None and loop[k.WANTED_AT]:
             engine.now_us = max(engine.now_us, int(loop[k.WANTED_AT]))
-            engine.link_us = max(engine.link_us, int(loop[k.WANTED_LINK_AT]))
+            engine.link_us = int(loop[k.WANTED_LINK_AT])
             loop[k.WANTED_AT] = 0
         if self._plans is not None and engine is not None and not plain:
             self._core_ran |= self._plans.settle(engine)

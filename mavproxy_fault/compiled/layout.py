@@ -41,10 +41,10 @@ INTERPRETED, PASS, PASS_UNTIL_EDGE, PLANNED = range(4)  # kinds
 EFFECT, RULE, START, SYSTEM, COMPONENT, DIRECTION, INSTANCE = range(7)  # -1: any
 REMEMBERS, BY_SENDER, SEALED_TOO, QUIET = range(7, 11)  # QUIET: directions in its label, a mask
 DRAW_COUNT, DRAWS_FROM, USED, CHANCES_FROM, CHANCES_USED = range(11, 16)  # -1: draws nothing
-ON_LINK = 16  # whether it counts in link time
-FRAMES_HIT, SATURATED, SEALED, FIRST_US, WAYS = range(17, 22)  # counts; WAYS: bit mask
-ENTRY_SIZE = 22
-VALUES, DELAY, COPIES, RENUMBER, IDLE = range(5)  # effects; IDLE: none before START
+ON_LINK, UNTIL = 16, 17  # whether it counts in link time; from when on the core has to see a frame
+FRAMES_HIT, SATURATED, SEALED, FIRST_US, WAYS = range(18, 23)  # counts; WAYS: bit mask
+ENTRY_SIZE = 23
+VALUES, DELAY, COPIES, RENUMBER, IDLE = range(5)  # effects; IDLE: none before UNTIL
 # Columns of `steps`, the chains of entries on a message
 ENTRY, FROM, TO, NEXT, END, NEED, NUMBERS_FROM = range(7)  # END: bytes that the elements need
 STEP_SIZE = 7

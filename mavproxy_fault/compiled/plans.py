@@ -20,6 +20,7 @@ from mavproxy_fault.faults.plant_fault import SimulatorFault
 from mavproxy_fault.faults.registry import our_faults
 from mavproxy_fault.faults.timestamp_faults import TimestampFault, stamp_fields
 from mavproxy_fault.proxy.active_entry import BOTH_DIRECTIONS, ActiveEntry
+from mavproxy_fault.proxy.interfaces import NEVER_US
 from mavproxy_fault.wire.dialect import Layout
 
 if TYPE_CHECKING:
@@ -134,11 +135,10 @@ class Plans:
     def follow_idle(self) -> None:
         """Note when the core has to see the next frame of faults that act at intervals."""
         for row, running in enumerate(self._running):
-            if self.entries[row, k.EFFECT] == k.IDLE:
+            idle_until_us = getattr(running.fault, "idle_until_us", None)
+            if idle_until_us is not None:
                 states = running.states.values()
-                self.entries[row, k.START] = min(
-                    map(running.fault.idle_until_us, states), default=0
-                )
+                self.entries[row, k.UNTIL] = min(map(idle_until_us, states), default=0)
 
     def add(self, layout: Layout, acting: Sequence[ActiveEntry]) -> int | None:
         """Write the chain of entries that act on a message; the first row, None if one cannot."""
@@ -170,6 +170,8 @@ class Plans:
     def _new_row(self, running: ActiveEntry) -> int | None:
         fault, row, where = running.fault, len(self._running), running.entry.where
         kind = type(fault)
+        if where.endpoint is not None:
+            return None
         if row == k.MOST_ENTRIES or our_faults().get(getattr(kind, "name", "")) is not kind:
             return None
         plan = [-1] * k.ENTRY_SIZE
@@ -180,7 +182,11 @@ class Plans:
             # One more than the numbers of an element; 0 for no memory.
             shared = profile is not None and profile.remembers
             plan[k.REMEMBERS] = fault.remembers + 1 if fault.remembers or shared else 0
-        elif isinstance(fault, RuleLinkFault) and fault.effect in EFFECTS:
+        elif (
+            isinstance(fault, RuleLinkFault)
+            and fault.effect in EFFECTS
+            and getattr(fault, "profile", None) is None
+        ):
             plan[k.EFFECT], plan[k.RULE] = EFFECTS[fault.effect], link_rules().index(fault.rule)
             plan[k.REMEMBERS] = int(fault.remembers > 0)
         elif isinstance(fault, TimestampFault) and max(map(abs, fault.error())) < LARGEST_SHIFT_S:
@@ -192,6 +198,8 @@ class Plans:
             return None
         plan[k.START], plan[k.BY_SENDER] = running.start_us, getattr(fault, "by_sender", False)
         plan[k.SEALED_TOO], plan[k.QUIET] = running.takes_sealed, 3 * stage(running).begun
+        # The core sees the first frame of a fault that has something to do at intervals.
+        plan[k.UNTIL] = 0 if hasattr(fault, "idle_until_us") else NEVER_US
         plan[k.ON_LINK] = running.on_link
         direction = None if where.direction is None else WAYS.index(where.direction)
         plan[k.SYSTEM : k.INSTANCE + 1] = [

@@ -25,7 +25,8 @@ class Outgoing(msgspec.Struct, frozen=True):
 
     `magnitude` is the largest change in this frame in the field's unit (metres for positions and
     satellites, seconds for delays), `saturated` the number of values out of their field's range.
-    With `back` the frame is sent to the link of the frame that it replies to.
+    With `back` the frame is sent to the link of the frame that it replies to. `links` are those
+    that it may go to, a bit mask.
     """
 
     due_us: int
@@ -33,6 +34,7 @@ class Outgoing(msgspec.Struct, frozen=True):
     magnitude: float | None = None
     saturated: int = 0
     back: bool = False
+    links: int = -1
 
 
 class Fault(Protocol):

@@ -4,18 +4,21 @@ Python calls a rule for single frames, `mavproxy_fault.compiled` compiles the sa
 dense traffic. So a rule uses only its arguments, numbers and `math`:
 
     value rule  rule(x, i, t_s, p, at, m, place, u) -> the faulty value of element i
-    link rule   rule(t_us, p, at, m, place, u, v) -> what becomes of the frame
+    link rule   rule(t_us, size, p, at, m, place, u, v) -> what becomes of the frame
 
 `x` are the healthy values of all elements, `p[at]` and following the parameters, `m[place]` and
-following what it remembers (zeros at first), `u` and `v` random numbers of the kind that the fault
-draws.
+following what it remembers (zeros at first), `size` the bytes of the frame, `u` and `v` random
+numbers of the kind that the fault draws.
 """
 
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Literal
 
+import msgspec
+
 from mavproxy_fault.fault_parts.fault import Generator, LinkFault, Outgoing
 from mavproxy_fault.fault_parts.memory import ARENA, NO_MEMORY, Memory
+from mavproxy_fault.fault_parts.profile import Profile, hold_live_value
 from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.wire.frame import STX_V2, Frame, Number
 
@@ -85,16 +88,26 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
 
     By `effect` that number is a delay in microseconds or `LOST`, a count of copies, of bytes that
     are cut off, or an offset of the sequence number. The rule's parameters are the fields named in
-    `parameters`. `remembers` is the count of numbers that it keeps per direction, `drawn` and
-    `draw_count` are kind and count of the random numbers for a frame.
+    `parameters`. `remembers` is the count of numbers that it keeps per direction. It draws random
+    numbers unless it is `certain`.
     """
 
     rule: ClassVar[Rule]
     parameters: ClassVar[tuple[str, ...]] = ("value",)
     effect: ClassVar[Effect] = "delay"
     remembers: ClassVar[int] = 0
-    drawn: ClassVar[Drawn] = ""
-    draw_count: ClassVar[int] = 1
+    certain: ClassVar[bool] = False
+
+    @property
+    def draw_count(self) -> int:
+        """One, and one more to choose whether it is that of the frame before."""
+        return 2 if getattr(self, "correlation", 0.0) else 1
+
+    @property
+    def drawn(self) -> Drawn:
+        """The kind of random number that the rule needs; none for all frames (a share of 1)."""
+        value = getattr(self, "value", None)
+        return "" if self.certain or (value is not None and value >= 1.0) else "random"
 
     def numbers(self) -> Numbers:
         """Return the parameters of the rule."""
@@ -109,25 +122,92 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
         return memory
 
     def apply(
-        self, frame: Frame | bytes, t_us: int, state: Memory, rng: Generator
-    ) -> tuple[list[Outgoing], Memory]:
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: Generator
+    ) -> tuple[list[Outgoing], Any]:
         """Apply the rule to the frame."""
-        u, *more = getattr(rng, self.drawn)(self.draw_count).tolist() if self.drawn else (0.0,)
-        v = more[0] if more else 0.0
-        number = int(type(self).rule(float(t_us), self.numbers(), 0, ARENA, state.at, u, v))
-        if self.effect == "delay":
-            return ([] if number == LOST else [delayed(frame, t_us, number)]), state
-        if self.effect == "copies":
-            span_us = int(self.numbers()[2])  # spread evenly
-            copies = [delayed(frame, t_us, span_us * (n + 1) // number) for n in range(number)]
-            return [Outgoing(t_us, frame), *copies], state
-        if not number:
-            return [Outgoing(t_us, frame)], state
+        return self.outcome(frame, t_us, state, rng), state
+
+    def outcome(
+        self, frame: Frame | bytes, t_us: int, memory: Memory, rng: Generator
+    ) -> list[Outgoing]:
+        """Return what the rule makes of the frame."""
         raw = frame if isinstance(frame, bytes) else frame.raw
+        u, *more = getattr(rng, self.drawn)(self.draw_count).tolist() if self.drawn else (0.0,)
+        v, p = more[0] if more else 0.0, self.numbers()
+        number = int(type(self).rule(float(t_us), len(raw), p, 0, ARENA, memory.at, u, v))
+        if self.effect == "delay":
+            return [] if number == LOST else [delayed(frame, t_us, number)]
+        if self.effect == "copies":
+            span_us = int(p[2])  # spread evenly
+            copies = [delayed(frame, t_us, span_us * (n + 1) // number) for n in range(number)]
+            return [Outgoing(t_us, frame), *copies]
+        if not number:
+            return [Outgoing(t_us, frame)]
         if self.effect == "cut":
-            return [Outgoing(t_us, raw[: max(len(raw) - number, 1)])], state
+            return [Outgoing(t_us, raw[: max(len(raw) - number, 1)])]
         assert isinstance(frame, Frame)
-        return [Outgoing(t_us, renumbered(frame, number))], state
+        return [Outgoing(t_us, renumbered(frame, number))]
+
+
+class ProfiledState(msgspec.Struct):
+    """The state of a fault whose value follows a profile; it is created at the first frame."""
+
+    memory: Memory
+    start_us: int
+    profile: Any = None
+
+
+class ProfiledLinkFault(RuleLinkFault, frozen=True, kw_only=True):
+    """A fault of the link with a `value`, or a profile of it; only the former is compiled.
+
+    Where the profile has no value the frame passes.
+    """
+
+    default: ClassVar[float | None] = None
+
+    value: float | None = None
+    profile: Profile | None = None
+
+    def __post_init__(self) -> None:
+        if self.value is None and self.profile is None and self.default is not None:
+            msgspec.structs.force_setattr(self, "value", self.default)
+        if (self.value is None) == (self.profile is None):
+            raise ValueError("needs exactly one of value and profile")
+
+    def new_state(self, start_us: int) -> Any:
+        """Return the memory, with a profile also its state."""
+        memory = super().new_state(start_us)
+        return memory if self.profile is None else ProfiledState(memory, start_us)
+
+    def apply(
+        self, frame: Frame | bytes, t_us: int, state: Any, rng: Generator
+    ) -> tuple[list[Outgoing], Any]:
+        """Apply the rule with the present value."""
+        if self.profile is None:
+            return super().apply(frame, t_us, state, rng)
+        state.profile = state.profile or self.profile.new_state(rng)
+        value = self.profile.value((t_us - state.start_us) / 1e6, state.profile)
+        if value is None:
+            return [Outgoing(t_us, frame)], state
+        now = msgspec.structs.replace(self, value=max(value, 0.0), profile=None)
+        return now.outcome(frame, t_us, state.memory, rng), state
+
+    def fed(self, state: Any, value: float, t_us: int) -> Any:
+        """Return the state after a live value that arrived at `t_us`."""
+        t_s = (t_us - state.start_us) / 1e6
+        state.profile = hold_live_value(state.profile, t_s, value)
+        return state
+
+
+def repeated_draw(u: float, v: float, share: float, m: Any, place: int) -> float:
+    """Return the draw of the frame before with a probability, else the new one.
+
+    So both the distribution of the draws and their correlation, `share`, are as given. The new one
+    lies at `m[place + 1]` from the first frame on, when `m[place]` is set.
+    """
+    if not m[place] or v >= share:
+        m[place], m[place + 1] = 1.0, u
+    return float(m[place + 1])
 
 
 def delayed(frame: Frame | bytes, t_us: int, by_us: int) -> Outgoing:

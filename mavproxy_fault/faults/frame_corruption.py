@@ -5,8 +5,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from msgspec import Meta
 
 from mavproxy_fault.fault_parts.fault import Generator, LinkFault, Outgoing
-from mavproxy_fault.fault_parts.rules import Drawn, Effect, Numbers, RuleLinkFault, link_rule
-from mavproxy_fault.faults.loss import Share, ShareFault
+from mavproxy_fault.fault_parts.rules import Effect, Numbers, RuleLinkFault, link_rule
+from mavproxy_fault.faults.loss import Share
 from mavproxy_fault.faults.timing import choose_share
 from mavproxy_fault.wire.frame import Frame
 
@@ -50,7 +50,7 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
         return bytes(mixed)
 
 
-class Truncate(ShareFault, frozen=True, kw_only=True):
+class Truncate(RuleLinkFault, frozen=True, kw_only=True):
     """Cut the last `count` bytes off a fraction `value` of the frames."""
 
     name: ClassVar[str] = "truncate"
@@ -59,11 +59,14 @@ class Truncate(ShareFault, frozen=True, kw_only=True):
     parameters: ClassVar[tuple[str, ...]] = ("value", "count")
     effect: ClassVar[Effect] = "cut"
 
+    value: Share = 1.0
     count: Annotated[int, Meta(ge=1)] = 4
 
 
 @link_rule
-def skip_numbers(t_us: float, p: Numbers, at: int, m: Any, place: int, u: float, v: float) -> int:
+def skip_numbers(
+    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
+) -> int:
     """Advance the offset of the sequence number, `m[place + 1]`, at a share of the frames."""
     if u < p[at]:
         m[place + 1] = (m[place + 1] + p[at + 1]) % 256.0  # it wraps like the sender's counter
@@ -81,7 +84,6 @@ class SequenceGap(RuleLinkFault, frozen=True, kw_only=True):
     takes_sealed: ClassVar[bool] = False
     rule = staticmethod(skip_numbers)
     parameters: ClassVar[tuple[str, ...]] = ("value", "count")
-    drawn: ClassVar[Drawn] = "random"
     effect: ClassVar[Effect] = "renumber"
     remembers: ClassVar[int] = 2
 

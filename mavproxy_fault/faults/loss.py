@@ -1,56 +1,106 @@
-"""Lost frames: random, in bursts, by rate limit, or all of them."""
+"""Lost frames: random, by wrong bits, in bursts, or all of them."""
 
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from mavproxy_fault.fault_parts.profile import Seconds
-from mavproxy_fault.fault_parts.rules import LOST, Drawn, Numbers, RuleLinkFault, link_rule
+from mavproxy_fault.fault_parts.rules import (
+    LOST,
+    Numbers,
+    ProfiledLinkFault,
+    RuleLinkFault,
+    link_rule,
+    repeated_draw,
+)
 
 Share = Annotated[float, Meta(ge=0, le=1)]
+Connection = Literal["kept", "closed", "reset", "refused"]
+Correlation = Annotated[float, Meta(ge=0, lt=1)]
 
 
 @link_rule
-def lose_share(t_us: float, p: Numbers, at: int, m: Any, place: int, u: float, v: float) -> int:
-    """Lose a share of the frames."""
+def lose_share(
+    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
+) -> int:
+    """Lose a share of the frames, correlated with a second parameter."""
+    if p[at + 1]:
+        u = repeated_draw(u, v, p[at + 1], m, place + 1)
     return LOST if p[at] >= 1.0 or u < p[at] else 0
 
 
-class ShareFault(RuleLinkFault, frozen=True, kw_only=True):
-    """Base of faults that hit a fraction `value` of the frames, chosen at random."""
+class Drop(ProfiledLinkFault, frozen=True, kw_only=True):
+    """Drop frames at random; `value` is the fraction lost (default: all).
 
-    value: Share = 1.0
-
-    @property
-    def drawn(self) -> Drawn:  # type: ignore[override]
-        """No random number if every frame is hit."""
-        return "random" if self.value < 1.0 else ""
-
-
-class Drop(ShareFault, frozen=True, kw_only=True):
-    """Drop frames at random; `value` is the fraction lost (default: all)."""
+    With the probability `correlation` a frame shares the fate of the one before.
+    """
 
     name: ClassVar[str] = "drop"
     example: ClassVar[dict[str, Any]] = {"value": 0.5}
     on_ranges: ClassVar[bool] = True
     rule = staticmethod(lose_share)
+    remembers: ClassVar[int] = 3
+    default: ClassVar[float | None] = 1.0
+
+    value: Share | None = None
+    correlation: Correlation = 0.0
+
+    def numbers(self) -> Numbers:
+        """Return share and correlation."""
+        return self.value or 0.0, self.correlation
+
+
+@link_rule
+def lose_by_length(
+    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
+) -> int:
+    """Lose a frame of which one bit or more is wrong, as its receiver does."""
+    return LOST if u >= (1.0 - p[at]) ** (8 * size) else 0
+
+
+class BitErrors(ProfiledLinkFault, frozen=True, kw_only=True):
+    """Drop the frames that the bit-error rate `value` spoils: the longer, the more of them."""
+
+    name: ClassVar[str] = "bit-errors"
+    example: ClassVar[dict[str, Any]] = {"value": 1e-3}
+    rule = staticmethod(lose_by_length)
+
+    value: Share | None = None
+
+    def numbers(self) -> Numbers:
+        """Return the rate."""
+        return (self.value or 0.0,)
+
+
+@link_rule
+def lose_after_bytes(
+    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
+) -> int:
+    """Lose what exceeds a number of bytes, of which `m[place + 1]` have come."""
+    m[place + 1] += size
+    return LOST if m[place + 1] > p[at] else 0
 
 
 class Outage(RuleLinkFault, frozen=True, kw_only=True):
-    """Drop all frames: communication is interrupted."""
+    """Drop all frames: communication is interrupted, at once or after so many bytes.
+
+    Connections are `kept` (half-open: the peer does not notice), or TCP endpoints have them
+    `closed`, `reset`, or reset and new ones `refused`.
+    """
 
     name: ClassVar[str] = "outage"
     example: ClassVar[dict[str, Any]] = {}
-    rule = staticmethod(lose_share)
+    rule = staticmethod(lose_after_bytes)
+    parameters: ClassVar[tuple[str, ...]] = ("after_bytes",)
+    certain: ClassVar[bool] = True
+    remembers: ClassVar[int] = 2
 
-    def numbers(self) -> Numbers:
-        """Return the share."""
-        return (1.0,)
+    after_bytes: Annotated[int, Meta(ge=0)] = 0
+    connection: Connection = "kept"
 
 
 @link_rule
 def lose_in_bad_state(
-    t_us: float, p: Numbers, at: int, m: Any, place: int, u: float, v: float
+    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
 ) -> int:
     """Change the state (`m[place + 1]`, 1 if bad) at random, then lose the frame at random."""
     bad = u >= p[at + 1] if m[place + 1] else u < p[at]
@@ -71,8 +121,7 @@ class GilbertElliott(RuleLinkFault, frozen=True, kw_only=True):
     rule = staticmethod(lose_in_bad_state)
     parameters: ClassVar[tuple[str, ...]] = ("to_bad", "to_good", "loss_good", "loss_bad")
     remembers: ClassVar[int] = 2
-    drawn: ClassVar[Drawn] = "random"
-    draw_count: ClassVar[int] = 2  # one for the state and one for the loss
+    draw_count = 2
 
     to_bad: Share = 0.01
     to_good: Share = 0.2
@@ -81,7 +130,9 @@ class GilbertElliott(RuleLinkFault, frozen=True, kw_only=True):
 
 
 @link_rule
-def lose_burst(t_us: float, p: Numbers, at: int, m: Any, place: int, u: float, v: float) -> int:
+def lose_burst(
+    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
+) -> int:
     """Lose the frame if a burst goes on or begins; `m[place + 1]` frames of it remain."""
     if not m[place + 1] and u < p[at]:
         m[place + 1] = p[at + 1]
@@ -99,33 +150,6 @@ class Burst(RuleLinkFault, frozen=True, kw_only=True):
     rule = staticmethod(lose_burst)
     parameters: ClassVar[tuple[str, ...]] = ("value", "frames")
     remembers: ClassVar[int] = 2
-    drawn: ClassVar[Drawn] = "random"
 
     value: Share = 0.01
     frames: Annotated[int, Meta(ge=1)] = 10
-
-
-@link_rule
-def limit_rate(t_us: float, p: Numbers, at: int, m: Any, place: int, u: float, v: float) -> int:
-    """Send, queue or lose the frame; the queue is empty at `m[place]`, which is its only state."""
-    due_us = max(m[place], t_us)
-    if due_us - t_us > p[at + 1]:
-        return LOST
-    m[place] = due_us + p[at]
-    return int(due_us - t_us)
-
-
-class RateLimit(RuleLinkFault, frozen=True, kw_only=True):
-    """Limit the rate to `value` frames per second; queue up to `queue_s`, then drop frames."""
-
-    name: ClassVar[str] = "rate-limit"
-    example: ClassVar[dict[str, Any]] = {"value": 20}
-    rule = staticmethod(limit_rate)
-    remembers: ClassVar[int] = 1
-
-    value: Annotated[float, Meta(ge=1e-6)]
-    queue_s: Seconds = 0.0
-
-    def numbers(self) -> Numbers:
-        """Return the interval of frames and the longest delay, microseconds."""
-        return float(round(1e6 / self.value)), self.queue_s * 1e6

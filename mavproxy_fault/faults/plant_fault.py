@@ -163,7 +163,7 @@ class ReceiverFault(SimulatorFault, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         check_count(self.fault, self.names)
         # The simulated receiver either tracks a satellite or does not.
-        if isinstance(self.fault, Drop) and self.fault.value < 1.0:
+        if isinstance(self.fault, Drop) and self.fault.value != 1.0:
             raise ValueError(
                 f"value = {self.fault.value} cannot act in the receiver, which loses a satellite"
                 " entirely; omit value, or give `via: proxy`"

@@ -1,54 +1,65 @@
 """Timing faults of frames: delay, jitter, reordering, duplication."""
 
 import math
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.fault_parts.profile import Seconds
-from mavproxy_fault.fault_parts.rules import Drawn, Effect, Numbers, RuleLinkFault, link_rule
-from mavproxy_fault.faults.loss import Share, ShareFault
+from mavproxy_fault.fault_parts.rules import (
+    Drawn,
+    Effect,
+    Numbers,
+    ProfiledLinkFault,
+    RuleLinkFault,
+    link_rule,
+    repeated_draw,
+)
+from mavproxy_fault.faults.loss import Correlation, Share
 
-UNIFORM, NORMAL, EXPONENTIAL, PARETO = range(4)
+UNIFORM, NORMAL, EXPONENTIAL, PARETO, SAMPLES = range(5)
 DISTRIBUTIONS: dict[str, tuple[int, Drawn]] = {
     "uniform": (UNIFORM, "random"),
     "normal": (NORMAL, "standard_normal"),
     "exponential": (EXPONENTIAL, "standard_exponential"),
     "pareto": (PARETO, "standard_exponential"),
+    "samples": (SAMPLES, "random"),
 }
+MOST_QUANTILES = 256  # of samples: the mean of an exponential's is then 0.3 % too large
 
 
 @link_rule
-def choose_share(t_us: float, p: Numbers, at: int, m: Any, place: int, u: float, v: float) -> int:
+def choose_share(
+    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
+) -> int:
     """Return `p[at + 1]` for a share of the frames."""
     return int(p[at + 1]) if p[at] >= 1.0 or u < p[at] else 0
 
 
-class Delay(RuleLinkFault, frozen=True, kw_only=True):
-    """Delay every frame by `value` seconds."""
-
-    name: ClassVar[str] = "delay"
-    example: ClassVar[dict[str, Any]] = {"value": 0.02}
-    rule = staticmethod(choose_share)
-
-    value: Seconds
-
-    def numbers(self) -> Numbers:
-        """Return the share of the frames (all) and the delay, microseconds."""
-        return 1.0, float(round(self.value * 1e6))
-
-
 @link_rule
 def delay_at_random(
-    t_us: float, p: Numbers, at: int, m: Any, place: int, u: float, v: float
+    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
 ) -> int:
     """Delay by a random time; the last frame is due at `m[place]`."""
-    distribution, value_s = p[at], p[at + 1]
+    distribution, value_s, correlation = p[at], p[at + 1], p[at + 5]
+    if correlation:
+        if distribution == NORMAL:  # `v` is of the same distribution; its quantile is uniform
+            v = 0.5 + 0.5 * math.erf(v / math.sqrt(2.0))
+        elif distribution in (EXPONENTIAL, PARETO):
+            v = -math.expm1(-v)
+        u = repeated_draw(u, v, correlation, m, place + 1)
     late_s = value_s * u
     if distribution == NORMAL:  # clipped: a frame cannot be sent before it arrives
         late_s = max(late_s, 0.0)
     elif distribution == PARETO:
         late_s = value_s * math.expm1(u / p[at + 3])
+    elif distribution == SAMPLES:  # between two of the quantiles, which follow
+        quantile = u * p[at + 6]
+        n = int(quantile)
+        low, high = p[at + 7 + n], p[at + 8 + n]
+        late_s = value_s * (low + (quantile - n) * (high - low))
     late_us = float(round((p[at + 2] + late_s) * 1e6))
     # It would overtake the previous frame, so it waits for that one.
     if p[at + 4] and t_us + late_us < m[place]:
@@ -57,34 +68,84 @@ def delay_at_random(
     return int(late_us)
 
 
-class Jitter(RuleLinkFault, frozen=True, kw_only=True):
+class Delay(ProfiledLinkFault, frozen=True, kw_only=True):
+    """Delay every frame by `value` seconds, or by a profile: a growing one, or a recorded one.
+
+    With `keep_order` no frame overtakes another, even where a profile decreases suddenly.
+    """
+
+    name: ClassVar[str] = "delay"
+    example: ClassVar[dict[str, Any]] = {"value": 0.02}
+    rule = staticmethod(delay_at_random)
+    remembers: ClassVar[int] = 1
+    certain: ClassVar[bool] = True
+
+    value: Seconds | None = None
+    keep_order: bool = False
+
+    def numbers(self) -> Numbers:
+        """Return those of a jitter of nothing."""
+        return UNIFORM, 0.0, self.value or 0.0, 1.0, float(self.keep_order), 0.0
+
+
+class Jitter(ProfiledLinkFault, frozen=True, kw_only=True):
     """Delay frames by `base_s` plus a random time.
 
     `value` is the largest delay (uniform), the mean (exponential), the sigma (normal, clipped at
-    zero), or the scale (Pareto of `shape`, heavy-tailed). With `keep_order` no frame overtakes
-    another.
+    zero), the scale (Pareto of `shape`, heavy-tailed), or a factor of recorded delays: `samples` in
+    seconds, or those of `file`, one on a line. With the probability `correlation` a frame has the
+    delay of the one before. With `keep_order` no frame overtakes another.
     """
 
     name: ClassVar[str] = "jitter"
     example: ClassVar[dict[str, Any]] = {"value": 0.02}
     rule = staticmethod(delay_at_random)
-    remembers: ClassVar[int] = 1
+    remembers: ClassVar[int] = 3
 
-    value: Seconds
-    distribution: Literal["uniform", "normal", "exponential", "pareto"] = "uniform"
+    value: Seconds | None = None
+    distribution: Literal["uniform", "normal", "exponential", "pareto", "samples"] = "uniform"
     base_s: Seconds = 0.0
     shape: Annotated[float, Meta(gt=1)] = 3.0
+    correlation: Correlation = 0.0
+    samples: Annotated[tuple[Seconds, ...], Meta(max_length=MOST_QUANTILES)] = ()
+    file: str | None = None
     keep_order: bool = True
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if (self.distribution == "samples") != (len(self.samples) > 1):
+            raise ValueError("distribution: samples needs two or more samples, or a file of them")
+
     @property
-    def drawn(self) -> Drawn:  # type: ignore[override]
+    def drawn(self) -> Drawn:
         """The unscaled number of the distribution."""
         return DISTRIBUTIONS[self.distribution][1]
 
     def numbers(self) -> Numbers:
-        """Return the distribution's number and its parameters."""
-        kind = DISTRIBUTIONS[self.distribution][0]
-        return float(kind), self.value, self.base_s, self.shape, float(self.keep_order)
+        """Return the distribution's number, its parameters, and the quantiles of samples."""
+        quantiles = (float(len(self.samples) - 1), *sorted(self.samples)) if self.samples else ()
+        return (
+            float(DISTRIBUTIONS[self.distribution][0]), self.value or 0.0, self.base_s, self.shape,
+            float(self.keep_order), self.correlation, *quantiles,
+        )  # fmt: skip
+
+
+def read_samples(file: Path) -> tuple[float, ...]:
+    """Read the delays of a file, one on a line; of more than `MOST_QUANTILES`, so many quantiles.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read or has another content.
+    """
+    try:
+        found = sorted(float(line) for line in file.read_text(encoding="utf-8").split())
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{error}; give a file with a delay in seconds on each line") from None
+    steps = min(len(found), MOST_QUANTILES) - 1
+    return (
+        tuple(found[n * (len(found) - 1) // steps] for n in range(steps + 1)) if steps > 0 else ()
+    )
 
 
 class Reorder(RuleLinkFault, frozen=True, kw_only=True):
@@ -93,17 +154,16 @@ class Reorder(RuleLinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "reorder"
     example: ClassVar[dict[str, Any]] = {"value": 0.2, "by_s": 0.02}
     rule = staticmethod(choose_share)
-    drawn: ClassVar[Drawn] = "random"
 
     value: Share = 0.1
     by_s: Seconds = 0.05
 
     def numbers(self) -> Numbers:
-        """Return the share of the frames and the delay, microseconds."""
+        """Return share and delay."""
         return self.value, float(round(self.by_s * 1e6))
 
 
-class Duplicate(ShareFault, frozen=True, kw_only=True):
+class Duplicate(RuleLinkFault, frozen=True, kw_only=True):
     """Repeat a fraction `value` of the frames: `copies` more, the last `by_s` later."""
 
     name: ClassVar[str] = "duplicate"
@@ -111,9 +171,10 @@ class Duplicate(ShareFault, frozen=True, kw_only=True):
     rule = staticmethod(choose_share)
     effect: ClassVar[Effect] = "copies"
 
+    value: Share = 1.0
     copies: Annotated[int, Meta(ge=1, le=100)] = 1
     by_s: Seconds = 0.0
 
     def numbers(self) -> Numbers:
-        """Return share, number of copies, and the delay of the last one, microseconds."""
+        """Return share, number of copies, and the delay of the last one."""
         return self.value, float(self.copies), float(round(self.by_s * 1e6))

@@ -7,8 +7,10 @@ import contextlib
 import errno
 import logging
 import socket
+import struct
 import time
 from collections.abc import Sequence
+from typing import Any
 
 from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import Chunk, LinkCounters, host_port
@@ -52,20 +54,31 @@ def _stream(sock: socket.socket, descriptors: Descriptors, counters: LinkCounter
     return Stream(sock.fileno(), (sock.recv, sock.send), descriptors, counters, empty_is_end=True)
 
 
+def _end(sock: socket.socket, how: str) -> None:
+    """End a connection; the next read finds that, and closes the socket.
+
+    Closing a socket that does not linger sends a reset, unless it was shut down for writing.
+    """
+    with contextlib.suppress(OSError):  # already lost
+        if how == "closed":
+            sock.shutdown(socket.SHUT_RDWR)
+        else:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+            sock.shutdown(socket.SHUT_RD)
+
+
 class TcpServer:
     """Accepts up to 32 peers and sends to all of them."""
 
     datagrams = False
 
     def __init__(self, host: str, port: int) -> None:
-        family, _, _, _, address = socket.getaddrinfo(
-            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-        self._listener = socket.create_server(address, family=family, backlog=16)
-        self._listener.setblocking(False)
-        # Set before accepting: connections inherit the listener's window.
-        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-        self.port: int = self._listener.getsockname()[1]
+        info = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        self._family, address = info[0], info[4]
+        self._descriptors = Descriptors()
+        self._listen(address)
+        self._address: Any = self._listener.getsockname()
+        self.port: int = self._address[1]
         self.name = f"tcpin:{host_port(host, self.port)}"
         self.counters = LinkCounters()
         self._peers: dict[int, tuple[socket.socket, Stream, int]] = {}  # by descriptor
@@ -74,8 +87,29 @@ class TcpServer:
         self._reserve = socket.socket()  # a descriptor to free when none are left
         self._warned = False
         self._accept_paused_until_s: float | None = None  # while the listener is not watched
-        self._descriptors = Descriptors()
+
+    def _listen(self, address: Any) -> None:
+        self._listener = socket.create_server(address, family=self._family, backlog=16)
+        self._listener.setblocking(False)
+        # Set before accepting: connections inherit the listener's window.
+        self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self._descriptors.add(self._listener.fileno())
+
+    def interrupt(self, how: str) -> None:
+        """Let connections end as a fault asks, `kept` to go on; repeated while it is active."""
+        refused = self._listener.fileno() < 0
+        if how == "refused" and not refused:
+            self._accept_paused_until_s = None
+            with contextlib.suppress(OSError):  # not watched while accepting is paused
+                self._descriptors.remove(self._listener.fileno())
+            self._listener.close()
+        elif how != "refused" and refused:
+            try:
+                self._listen(self._address)
+            except OSError as error:  # tried again at the next call
+                self._warn_once(f"cannot listen again: {error}")
+        for sock, _, _ in self._peers.values() if how != "kept" else ():
+            _end(sock, how)
 
     @property
     def peer_count(self) -> int:
@@ -242,6 +276,13 @@ class TcpClient:
     def filenos(self) -> list[int]:
         """Return the descriptors of the present connection."""
         return self._descriptors.filenos()
+
+    def interrupt(self, how: str) -> None:
+        """Let the connection end as a fault asks, `kept` to go on; repeated while it is active."""
+        if how != "kept":
+            self._retry_s = time.monotonic() + RECONNECT_S
+            if self._peer is not None:
+                _end(self._peer[0], how)
 
     def _connect(self) -> None:
         self._retry_s = time.monotonic() + RECONNECT_S

@@ -94,6 +94,7 @@ class ActiveEntry:
         where = entry.where
         # A tuple, as it is read for each frame.
         self._where = (where.system, where.component, where.direction, where.id)
+        self.endpoint_links = -1 if where.endpoint is None else 1 << where.endpoint  # a bit mask
         self.on_link = entry.clock == "link"
         self.matches_all = self._where == (None, None, None, None)
         self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
@@ -336,7 +337,7 @@ class ActiveEntry:
         entry = self.entry
         where = {
             key: value
-            for key in ("system", "component", "id", "direction")
+            for key in ("system", "component", "id", "direction", "endpoint")
             if (value := getattr(entry.where, key)) is not None
         }
         return Label(

@@ -23,6 +23,7 @@ from mavproxy_fault.proxy.interfaces import (
     Direction,
     FaultEngine,
     LinkRole,
+    Route,
     Send,
 )
 from mavproxy_fault.proxy.numbering import Numbering
@@ -289,7 +290,8 @@ class Core:
             self._send_now(mask, frame.raw, arrival.now_us, batch)
             return
         link_us = self.senders[LINK_TIME]
-        outgoing = engine.apply(frame, arrival.direction, t_us, link_us, sealed=sealed)
+        route = Route(1 << arrival.link, mask, link_us)
+        outgoing = engine.apply(frame, arrival.direction, t_us, route, sealed=sealed)
         if len(outgoing) != 1 or outgoing[0].frame is not frame or outgoing[0].due_us > link_us:
             state.faulted += 1
         for out in outgoing:
@@ -318,9 +320,9 @@ class Core:
             self._send_now(mask, raw, now_us, batch)
             return
         t_us = self.clock.t_us if self.clock.t0_us is not None else now_us
-        link_us = self._note_link_time(now_us)
+        route = Route(1 << arrival.link, mask, self._note_link_time(now_us))
         whole = raw if frame is None else frame
-        for out in self.engine.junk(whole, arrival.direction, t_us, link_us, sealed=sealed):
+        for out in self.engine.junk(whole, arrival.direction, t_us, route, sealed=sealed):
             self._emit(out, frame, mask, now_us, batch)
         self._announce(self.engine.drain_labels(), now_us, batch)
 
@@ -389,6 +391,7 @@ class Core:
             raw = self.signing.sign_outgoing(frame).raw
         if outgoing.back and isinstance(frame, Frame):  # the proxy's own message to a simulator
             raw = self._numbering.number_frame(frame)
+        mask &= outgoing.links
         due_us = outgoing.due_us + self.senders[WALL_OFFSET]
         if due_us <= now_us:
             self._send_now(mask, raw, now_us, batch)

@@ -17,7 +17,7 @@ from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.fault_parts.draft import Draft
 from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.proxy.active_entry import ActiveEntry, add_seconds
-from mavproxy_fault.proxy.interfaces import NEVER_US
+from mavproxy_fault.proxy.interfaces import ANY, NEVER_US, Route
 from mavproxy_fault.proxy.value_entry import ActiveValueEntry, activate_entry
 from mavproxy_fault.schedule.entries import Entry, Schedule, parse_entry
 from mavproxy_fault.schedule.saving import write_schedule
@@ -92,10 +92,9 @@ class Engine:
         entry = one if isinstance(one, Entry) else one.entry
         return self.link_us if entry.clock == "link" else self.now_us
 
-    def _follow(self, t_us: int, link_us: int | None) -> int:
-        """Set the times, and start and end what is due; return the link time."""
-        self.now_us, self.link_us = t_us, t_us if link_us is None else link_us
-        if t_us >= self._edges_us[0] or self.link_us >= self._edges_us[1]:
+    def _follow(self) -> int:
+        """Start and end what is due; return the link time."""
+        if self.now_us >= self._edges_us[0] or self.link_us >= self._edges_us[1]:
             self._advance()
         return self.link_us
 
@@ -126,7 +125,8 @@ class Engine:
         """Release buffered frames that are due by the link time `t_us`."""
         if self.t0_us is None:
             return []
-        self._follow(max(self.now_us, t_us), max(self.link_us, t_us))
+        self.advance_time(t_us)
+        self._follow()
         sends, self._released = self._released, []
         for running in self._buffering:
             if running.release_us() <= t_us:
@@ -193,11 +193,9 @@ class Engine:
             number: tuple(r for r in active if r.entry.ids is None or number in r.entry.ids)
             for number in ids
         }
-        for clock, on_link in enumerate((False, True)):
-            self._edges_us[clock] = min(
-                (running.next_us for running in self._all if running.on_link == on_link),
-                default=NEVER_US,
-            )
+        for clock in (0, 1):
+            times = (running.next_us for running in self._all if running.on_link == clock)
+            self._edges_us[clock] = min(times, default=NEVER_US)
 
     def _update_wanted(self) -> None:
         """Update `wanted` and the conditions' messages after an edit."""
@@ -217,6 +215,18 @@ class Engine:
         self._index()
 
     @property
+    def interrupted(self) -> dict[int, str]:
+        """What active faults do to connections, by the links (a bit mask)."""
+        found: dict[int, str] = {}
+        for running in self._all:
+            how = getattr(running.fault, "connection", "kept") if running.active else "kept"
+            if how != "kept":
+                self.collect()
+                if running.frames or not running.fault.after_bytes:
+                    found[running.endpoint_links] = how
+        return found
+
+    @property
     def edges_us(self) -> tuple[int, int]:
         """Next scheduled start or end, by vehicle time and by link time."""
         return self._edges_us[0], self._edges_us[1]
@@ -228,25 +238,18 @@ class Engine:
     # -- bytes -----------------------------------------------------------------------------------
 
     def apply(
-        self,
-        frame: Frame,
-        direction: str,
-        t_us: int,
-        link_us: int | None = None,
-        *,
-        sealed: bool = False,
+        self, frame: Frame, direction: str, t_us: int, route: Route = ANY, *, sealed: bool = False
     ) -> list[Outgoing]:
-        """Process a frame; an unchanged one is returned as the same object, due at `link_us`.
+        """Process a frame; an unchanged one is returned as the same object, due at its link time.
 
-        That is vehicle time if it is None. With `sealed` (signed with an unknown key) value faults
-        skip the frame and count it.
+        With `sealed` (signed with an unknown key) value faults skip the frame and count it.
         """
         if self.t0_us is None:
             self.start_at(t_us)
+        self.now_us, self.link_us = t_us, t_us if route.link_us is None else route.link_us
         if frame.id in self._watched:
-            self.now_us, self.link_us = t_us, t_us if link_us is None else link_us
             self._watch(frame)
-        link_us = self._follow(t_us, link_us)
+        link_us = self._follow()
         draft: Draft | None = None
         sends: list[Outgoing] | None = None
         for running in self._by_id.get(frame.id, self._any):
@@ -256,14 +259,14 @@ class Engine:
                 running.sealed += 1
                 continue
             if sends is not None:
-                sends = _apply_to_outgoing(running, sends, direction, t_us)
-            elif isinstance(running, ActiveValueEntry):
+                sends = _apply_to_outgoing(running, sends, direction, t_us, route)
+            elif isinstance(running, ActiveValueEntry) and running.endpoint_links == -1:
                 if draft is None:
                     draft = Draft(frame)
                 running.edit(draft, direction, link_us if running.on_link else t_us)
             else:
                 sends = [Outgoing(link_us, draft.sealed() if draft else frame)]
-                sends = _apply_to_outgoing(running, sends, direction, t_us)
+                sends = _apply_to_outgoing(running, sends, direction, t_us, route)
             if running.needs_attention:
                 self.attend(running, self._now(running))
         if sends is None:
@@ -289,25 +292,21 @@ class Engine:
                 self._edges_us[running.on_link] = t_us
 
     def junk(
-        self,
-        data: bytes | Frame,
-        direction: str,
-        t_us: int,
-        link_us: int | None = None,
-        *,
-        sealed: bool = False,
+        self, data: bytes | Frame, direction: str, t_us: int, route: Route, *, sealed: bool = False
     ) -> list[Outgoing]:
         """Process bytes that are not a frame, or a frame of an unknown message.
 
         Faults on an entire link act on both, and faults on a sender on the frame. With `sealed`
         it is signed with an unknown key.
         """
+        link_us = t_us if route.link_us is None else route.link_us
         if self.t0_us is None:
-            return [Outgoing(t_us if link_us is None else link_us, data)]
-        sends = [Outgoing(self._follow(t_us, link_us), data)]
+            return [Outgoing(link_us, data)]
+        self.now_us, self.link_us = t_us, link_us
+        sends = [Outgoing(self._follow(), data)]
         for running in self._any:
             if running.matches_junk(data, direction, sealed=sealed):
-                sends = _apply_to_outgoing(running, sends, direction, t_us)
+                sends = _apply_to_outgoing(running, sends, direction, t_us, route)
                 if running.needs_attention:
                     self.attend(running, self._now(running))
         return sends
@@ -543,23 +542,33 @@ def _is_fault_or_part(id: str, chosen: str) -> bool:
 
 
 def _apply_to_outgoing(
-    running: ActiveEntry, sends: list[Outgoing], direction: str, t_us: int
+    running: ActiveEntry, sends: list[Outgoing], direction: str, t_us: int, route: Route
 ) -> list[Outgoing]:
     """Apply an entry to the output of the earlier ones; delays add up."""
     outgoing: list[Outgoing] = []
+    towards = -1 if running.endpoint_links & route.come else running.endpoint_links
     for out in sends:
         frame = out.frame
         if out.back or (isinstance(frame, bytes) and not running.takes_bytes):
             outgoing.append(out)
             continue
+        if towards != -1:  # what goes to one endpoint, apart from what goes to the others
+            others = out.links & ~towards & route.go
+            if others:
+                outgoing.append(msgspec.structs.replace(out, links=others))
+            if not out.links & towards & route.go:
+                continue
+            out = msgspec.structs.replace(out, links=out.links & towards)
         own_us = out.due_us if running.on_link else t_us
         for further in running.act(frame, direction, own_us):
             if further.frame is frame and further.due_us == own_us:
                 outgoing.append(out)
                 continue
-            # Copied only if the clocks differ, or an earlier entry delayed it.
-            if out.due_us != own_us:
+            # What a link reports (RADIO_STATUS) goes back to where its frame came from, only.
+            links = route.come if further.back and running.on_link else out.links
+            # Copied only if the clocks differ, an earlier entry delayed it, or for some links only.
+            if out.due_us != own_us or links != -1:
                 due_us = further.due_us + out.due_us - own_us
-                further = msgspec.structs.replace(further, due_us=due_us)
+                further = msgspec.structs.replace(further, due_us=due_us, links=links)
             outgoing.append(further)
     return outgoing

@@ -32,6 +32,20 @@ class LinkRole:
     datagrams: bool = True
 
 
+class Route(NamedTuple):
+    """The links that a frame comes from and goes to, bit masks, and its link time.
+
+    All links unless they are known, and the vehicle time if there is no other.
+    """
+
+    come: int = -1
+    go: int = -1
+    link_us: int | None = None
+
+
+ANY = Route()
+
+
 class FaultEngine(Protocol):
     """The fault engine: frames in, frames with due times out, in link time.
 
@@ -53,24 +67,12 @@ class FaultEngine(Protocol):
         """End active faults and restart the schedule at `t0_us`."""
 
     def apply(
-        self,
-        frame: Frame,
-        direction: Direction,
-        t_us: int,
-        link_us: int | None = None,
-        *,
-        sealed: bool = False,
+        self, frame: Frame, direction: str, t_us: int, route: Route = ANY, *, sealed: bool = False
     ) -> "list[Outgoing]":
         """Process a frame; a sealed (signed) one may be delayed or dropped but not changed."""
 
     def junk(
-        self,
-        data: bytes | Frame,
-        direction: Direction,
-        t_us: int,
-        link_us: int | None = None,
-        *,
-        sealed: bool = False,
+        self, data: bytes | Frame, direction: str, t_us: int, route: Route, *, sealed: bool = False
     ) -> "list[Outgoing]":
         """Process bytes that are not a frame, or a frame of an unknown message."""
 

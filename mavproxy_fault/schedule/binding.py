@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 from mavproxy_fault.fault_parts import target as targets
 from mavproxy_fault.fault_parts.fault import Fault
 from mavproxy_fault.fault_parts.units import factors_of
+from mavproxy_fault.faults.loss import Drop
 from mavproxy_fault.faults.plant_fault import ReceiverFault, receiver_names
 from mavproxy_fault.faults.registry import acts_on_ranges, known_faults
 from mavproxy_fault.faults.satellite import SatelliteFault
@@ -101,6 +102,8 @@ def bind_fault(
         if via == "simulator" and kind.acts_on != "plant":
             raise ValueError("via: simulator needs a PSEUDORANGE or PLANT target; remove via")
         return fault, at.ids
+    if isinstance(fault, Drop) and (fault.profile is not None or fault.correlation):
+        raise ValueError("loses satellites by value only; remove profile and correlation")
     if via == "simulator":
         names = receiver_names(at.satellites, fault)
         return ReceiverFault(names=names, fault=fault), CARRIER_IDS

@@ -35,12 +35,17 @@ Byte = Annotated[int, Meta(ge=0, le=255)]
 
 
 class Where(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """Filter for frames: sender, instance (the message's `id`) and direction; None means any."""
+    """Filter for frames: sender, instance (the message's `id`) and direction; None means any.
+
+    `endpoint` is one by number (0 for the master, then the outputs in their order): frames that
+    come from it, and what is sent to it, but not what is sent to others.
+    """
 
     system: Byte | None = None
     component: Byte | None = None
     id: int | None = None
     direction: Literal["to-vehicle", "from-vehicle"] | None = None
+    endpoint: Annotated[int, Meta(ge=0, le=62)] | None = None  # as a bit of 64
 
 
 class After(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -224,9 +229,16 @@ def _entries(data: Any, number: int, check: DocumentCheck, path: Path, via: Via)
     return [] if entry is None else [entry]
 
 
-def _resolve_series(arguments: dict[str, Any], check: DocumentCheck, path: Path) -> None:
-    """Resolve a series file relative to the schedule, and check its first rows."""
-    profile = arguments.get("profile")
+def _resolve_files(arguments: dict[str, Any], check: DocumentCheck, path: Path) -> None:
+    """Resolve files relative to the schedule: read samples, and check a series' first rows."""
+    samples, profile = arguments.get("file"), arguments.get("profile")
+    if isinstance(samples, str):
+        from mavproxy_fault.faults.timing import read_samples
+
+        try:
+            arguments["samples"] = read_samples(FilePath(check.where).parent / samples)
+        except ConfigError as error:
+            check.wrong((*path, "file"), f"= {samples}: {error}")
     if not isinstance(profile, Profile) or profile.table is None:
         return
     from mavproxy_fault.fault_parts.series import read_blocks
@@ -286,7 +298,7 @@ def _entry(
     own = [field.name for field in msgspec.structs.fields(kind) if field.name not in TARGET_FIELDS]
     check.keys(data, (*KEYS, *own), path)
     arguments = check.arguments(data, kind, path, TARGET_FIELDS)
-    _resolve_series(arguments, check, path)
+    _resolve_files(arguments, check, path)
     names = keys.pop("target", None) or ()
     names = (names,) if isinstance(names, str) else tuple(names)
     # An invalid target value already has its error.

@@ -6,6 +6,7 @@ import pytest
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.faults.profile_faults import Bias
 from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.interfaces import ANY
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
@@ -172,9 +173,9 @@ def test_a_fault_follows_the_end_of_another():
 def test_junk_passes_an_outage_only_outside_it():
     it = engine("  - {fault: drop, at_s: 1, for_s: 1}")
     it.start_at(0)
-    assert [out.frame for out in it.junk(b"x", "to-vehicle", 500_000)] == [b"x"]
-    assert it.junk(b"x", "to-vehicle", 1_500_000) == []
-    assert [out.frame for out in it.junk(b"x", "to-vehicle", 2_500_000)] == [b"x"]
+    assert [out.frame for out in it.junk(b"x", "to-vehicle", 500_000, ANY)] == [b"x"]
+    assert it.junk(b"x", "to-vehicle", 1_500_000, ANY) == []
+    assert [out.frame for out in it.junk(b"x", "to-vehicle", 2_500_000, ANY)] == [b"x"]
 
 
 def test_a_live_fault_starts_when_armed_and_can_be_changed_and_cleared():
@@ -322,7 +323,7 @@ def test_foreign_bytes_after_a_timestamp_far_ahead_cost_no_more_than_a_frame() -
     follow = it._start_dependents
     it._start_dependents = lambda *given: (steps.append(given), follow(*given))[1]  # type: ignore[method-assign]
     it.apply(sensor(1_000_000), "to-vehicle", 1_000_000)
-    it.junk(b"x", "to-vehicle", 10**15 - 1)
+    it.junk(b"x", "to-vehicle", 10**15 - 1, ANY)
     it.apply(sensor(10**15), "to-vehicle", 10**15 + 7_000_000)
     assert len(steps) < 20
 

@@ -88,7 +88,9 @@ def changes(name: str) -> tuple[set[str], int, list[Any]]:
 
 def kind(name: str) -> str:
     faults = {part["fault"] for part in read_preset(name)["faults"]}
-    if faults <= {"outage", "drop", "gilbert-elliott", "jitter", "duplicate"}:
+    of_links = {"outage", "drop", "gilbert-elliott", "jitter", "duplicate"}
+    of_links |= {"delay", "rate-limit", "radio"}
+    if faults <= of_links:
         targets = str(read_preset(name)["faults"][0].get("target", ""))
         return "satellites" if "PSEUDORANGE" in targets else "link"
     if "PSEUDORANGE" in str(read_preset(name)["faults"][0].get("target", "")):

@@ -1,0 +1,129 @@
+"""The rate of a link: transmission times, a queue, bursts, and the slots of a shared channel.
+
+One rule: a frame waits until the line is free, occupies it for its transmission time, and is lost
+if the queue is full. In bytes that is netem's `rate`, with `burst_bytes` the token bucket of the
+kernel's tbf (linux/net/sched/sch_netem.c, sch_tbf.c).
+"""
+
+import math
+from typing import Annotated, Any, ClassVar, Literal
+
+from msgspec import Meta
+
+from mavproxy_fault.fault_parts.profile import Duration, Seconds
+from mavproxy_fault.fault_parts.rules import LOST, Numbers, ProfiledLinkFault, link_rule
+
+MOST_QUEUED = 1000  # frames in a queue of bytes, as in netem's by default
+QUEUE_AT = 2  # of its numbers in memory
+BYTES_QUEUE_S = 1.0  # chosen: what a byte queue without a given size can take
+Count = Annotated[int, Meta(ge=0)]
+
+
+@link_rule
+def limit_rate(
+    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
+) -> int:
+    """Send, queue or lose the frame.
+
+    All in time of open slots, from the start of the fault (`m[place]`) on: that of the frame, and
+    that from which the line is free but for a burst (`m[place + 1]`).
+    """
+    per_frame_us, per_byte_us, overhead, sent_when_through = p[at], p[at + 1], p[at + 2], p[at + 3]
+    longest_us, room_us, burst_us, period_us, slot_us = (
+        p[at + 4], p[at + 5], p[at + 6], p[at + 7], p[at + 8],
+    )  # fmt: skip
+    cost_us = per_frame_us + per_byte_us * (size + overhead)
+    periods = math.floor((t_us - m[place]) / period_us)
+    open_us = periods * slot_us + min(t_us - m[place] - periods * period_us, slot_us)
+    free_us = max(m[place + 1], open_us) - burst_us
+    leaves_us = max(free_us + cost_us * sent_when_through, open_us)
+    if leaves_us - open_us > longest_us:
+        return LOST
+    if room_us >= 0.0 and not takes_place(
+        open_us, leaves_us, cost_us, room_us, m, place + QUEUE_AT
+    ):
+        return LOST
+    m[place + 1] = free_us + cost_us + burst_us
+    periods = math.floor(leaves_us / slot_us)
+    return max(int(m[place] + periods * period_us + leaves_us - periods * slot_us - t_us), 0)
+
+
+def takes_place(
+    now_us: float, leaves_us: float, cost_us: float, room_us: float, m: Any, place: int
+) -> bool:
+    """Whether a queue of limited size takes a frame; one that is being sent still waits as a whole.
+
+    Sizes are transmission times: `m[place]` is the sum of those waiting, then follow the numbers of
+    frames that came and that left, and a ring of when each leaves and its size.
+    """
+    ring = place + 3
+    while m[place + 2] < m[place + 1]:
+        slot = ring + 2 * (int(m[place + 2]) % MOST_QUEUED)
+        if m[slot] > now_us:
+            break
+        m[place] -= m[slot + 1]
+        m[place + 2] += 1.0
+    if m[place] + cost_us > room_us or m[place + 1] - m[place + 2] >= MOST_QUEUED:
+        return False
+    if leaves_us > now_us:
+        slot = ring + 2 * (int(m[place + 1]) % MOST_QUEUED)
+        m[slot], m[slot + 1] = leaves_us, cost_us
+        m[place] += cost_us
+        m[place + 1] += 1.0
+    return True
+
+
+class RateLimit(ProfiledLinkFault, frozen=True, kw_only=True):
+    """Limit the rate to `value` frames per second, or bytes per second with `unit: bytes`.
+
+    Frames wait up to `queue_s`, or until `queue_bytes` wait (bytes without either: 1 s), then they
+    are lost. In bytes a frame arrives when its last byte has left, at the earliest;
+    `overhead_bytes` are added to each, and `burst_bytes` may leave at once after a pause. With
+    `period_s` and `slot_s` the line is open for a slot at the beginning of each period, as in TDMA.
+    """
+
+    name: ClassVar[str] = "rate-limit"
+    example: ClassVar[dict[str, Any]] = {"value": 20}
+    rule = staticmethod(limit_rate)
+    certain: ClassVar[bool] = True
+
+    value: Annotated[float, Meta(ge=1e-6)] | None = None
+    unit: Literal["frames", "bytes"] = "frames"
+    overhead_bytes: Count = 0
+    queue_s: Seconds | None = None
+    queue_bytes: Count | None = None
+    burst_bytes: Count = 0
+    period_s: Duration | None = None
+    slot_s: Duration | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given = self.overhead_bytes, self.queue_bytes, self.burst_bytes
+        if self.unit == "frames" and any(given):
+            raise ValueError("overhead, queue and burst in bytes need `unit: bytes`")
+        if self.queue_s is not None and self.queue_bytes is not None:
+            raise ValueError("takes either queue_s or queue_bytes")
+        if (self.period_s is None) != (self.slot_s is None):
+            raise ValueError("slots need both period_s and slot_s")
+        if self.period_s is not None and self.slot_s is not None and self.slot_s > self.period_s:
+            raise ValueError("slot_s is longer than period_s; give a shorter slot")
+
+    @property
+    def remembers(self) -> int:  # type: ignore[override]
+        """Start, when the line is free, and the queue of bytes, if there is one."""
+        return 2 if self.queue_bytes is None else QUEUE_AT + 3 + 2 * MOST_QUEUED
+
+    def numbers(self) -> Numbers:
+        """Return what a frame costs and when it is lost, in microseconds."""
+        unit_us, in_bytes = 1e6 / max(self.value or 0.0, 1e-6), self.unit == "bytes"
+        queue_s = self.queue_s if self.queue_s is not None else BYTES_QUEUE_S if in_bytes else 0.0
+        longest_us, room_us = queue_s * 1e6, -1.0
+        if self.queue_bytes is not None:
+            longest_us, room_us = math.inf, self.queue_bytes * unit_us
+        period_us = (self.period_s or 1.0) * 1e6
+        slot_us = (self.slot_s or 1.0) * 1e6
+        if in_bytes:
+            cost = 0.0, unit_us, float(self.overhead_bytes), 1.0
+        else:
+            cost = float(round(unit_us)), 0.0, 0.0, 0.0
+        return *cost, longest_us, room_us, self.burst_bytes * unit_us, period_us, slot_us
