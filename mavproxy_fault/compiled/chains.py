@@ -95,6 +95,8 @@ def is_ready(
         entry = shared.entries[step[k.ENTRY]]
         shared.places[place] = SKIPPED
         if _is_for(entry, sender, from_vehicle, instance):
+            if t_us >= entry[k.LABEL_AT]:
+                return False
             shared.places[place] = 0
             if signed and not entry[k.SEALED_TOO]:
                 shared.places[place] = SIGNED

@@ -96,7 +96,6 @@ class CompiledCore:
         control = self._core.control
         seen: tuple[Any, ...] = (control and control.wanted,)
         if engine is not None:
-            self.loop[k.EDGE] = engine.edge_us
             seen += (engine.changes, engine.revision, engine.t0_us)
         plans = self._plans
         if seen != self._seen or (self._core_ran and plans is not None and plans.changed):
@@ -108,6 +107,8 @@ class CompiledCore:
             self._seen = seen  # only now: what fails for want of memory is done again
         if plans is not None and self._core_ran:
             plans.follow_idle()
+        if engine is not None:
+            self.loop[k.EDGE] = engine.edge_us
         self._core_ran = False
 
     def _classify(self, number: int) -> None:
@@ -171,13 +172,20 @@ class CompiledCore:
             at += passed
             if found in (k.FRAME, k.REST):
                 length = frame_length(data, at) if found == k.FRAME else len(data) - at
-                self._learn(data[at : at + length])
-                self._core_ran = True
-                sends += self._core.received(link, data[at : at + length], now_us, stream=stream)
+                sends += self._give(link, data[at : at + length], now_us, stream, begun=at > 0)
                 at += length
             if at >= len(data):
                 return sends
             self._lend(link, data[at:], now_us)
+
+    def _give(
+        self, link: int, data: bytes, now_us: int, stream: int = 0, *, begun: bool
+    ) -> list[Send]:
+        """Let the core take a frame or the rest of a datagram, of which a part may have passed."""
+        self._learn(data)
+        self._core_ran = True
+        receive = self._core.received_rest if begun else self._core.received
+        return receive(link, data, now_us, stream=stream)
 
     def _lend(self, link: int, data: bytes, now_us: int) -> None:
         """Pass a chunk in machine code, as far as that goes."""
@@ -245,8 +253,7 @@ class CompiledCore:
         if engine is not None and loop[k.WANTED_AT]:
             engine.now_us = max(engine.now_us, int(loop[k.WANTED_AT]))
             loop[k.WANTED_AT] = 0
-        if self._plans is not None and engine is not None and not plain:
-            self._core_ran |= self._plans.settle(engine)
+        begun = self._plans is not None and not plain and self._plans.settle(engine)
         at = 0
         while at < loop[k.HELD_AT]:
             due_us, mask, length = HELD.unpack_from(self._arrays["held"], at)
@@ -260,7 +267,8 @@ class CompiledCore:
             self._tape.sent += sent[: loop[k.SENT_AT]]
             self._tape.index += index[: loop[k.INDEX_AT]]
             self.drop_tape()
-        if engine is not None and not plain:
+        if begun:  # behind the frame that began it
+            self._core_ran = True
             self._sends += core.announce_labels(now_us)
 
     def take_sends(self) -> list[Send]:

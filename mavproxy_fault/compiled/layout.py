@@ -42,7 +42,8 @@ EFFECT, RULE, START, SYSTEM, COMPONENT, DIRECTION, INSTANCE = range(7)  # -1: an
 REMEMBERS, BY_SENDER, SEALED_TOO, QUIET = range(7, 11)  # QUIET: directions in its label, a mask
 DRAW_COUNT, DRAWS_FROM, USED, CHANCES_FROM, CHANCES_USED = range(11, 16)  # -1: draws nothing
 FRAMES_HIT, SATURATED, SEALED, FIRST_US, WAYS = range(16, 21)  # counts; WAYS: bit mask
-ENTRY_SIZE = 21
+LABEL_AT = 21  # when the core has to see a frame for a label
+ENTRY_SIZE = 22
 VALUES, DELAY, COPIES, RENUMBER, IDLE = range(5)  # effects; IDLE: none before START
 # Columns of `steps`, the chains of entries on a message
 ENTRY, FROM, TO, NEXT, END, NEED, NUMBERS_FROM = range(7)  # END: bytes that the elements need

@@ -205,6 +205,8 @@ def _drain(link: int, lent: int, shared: Shared) -> int:
         if not _receive(link, shared):
             return -1
         loop[k.CAME] = started  # of the whole batch, however often it is interrupted
+        if started >= loop[k.DEADLINE]:  # what was due before it leaves before it
+            return k.TIME_IS_UP
     begun = loop[k.AT]
     found = _pass_rows(link, loop[k.LINK_COUNT] if lent else link, shared)
     if lent:

@@ -202,8 +202,11 @@ class Engine:
 
     @property
     def edge_us(self) -> int:
-        """Time of the next scheduled start or end."""
-        return self._edge_us
+        """Time from which frames have to be seen: of the next scheduled start or end, or any.
+
+        With the labels of a live edit waiting, the next frame announces them.
+        """
+        return -NEVER_US if self._labels or self._released else self._edge_us
 
     def active_entries(self, number: int) -> tuple[ActiveEntry, ...] | None:
         """Return the entries active on a message; None if a condition reads it."""
