@@ -20,7 +20,7 @@ from mavproxy_fault.proxy.senders import WALL_OFFSET
 from mavproxy_fault.proxy.vehicle_clock import stamp_location
 from mavproxy_fault.wire.dialect import Layout, find_layout
 from mavproxy_fault.wire.parser import frame_span, walk_frames
-from mavproxy_fault.wire.signing import SETUP_SIGNING
+from mavproxy_fault.wire.signing import SETUP_SIGNING, Signing
 
 if TYPE_CHECKING:
     from mavproxy_fault.compiled.plans import Plans
@@ -43,14 +43,17 @@ class CompiledCore:
         self._core = core
         self._tape = tape
         arrays = k.new_arrays(len(core.links), descriptors, keep=tape is not None)
-        self._arrays = {**arrays, "senders": core.senders}
+        signing = core.signing or Signing()
+        self._arrays = {**arrays, "senders": core.senders, "streams": signing.verifier.streams}
+        key = signing.key or b""
+        arrays["message"][: len(key)] = key
         self.loop, self.ports = arrays["loop"], arrays["ports"]
         self._learned: dict[int, Layout] = {}
         self._plans: Plans | None = None
         self.loop[k.KEEP] = tape is not None
         self.loop[k.LINK_COUNT], self.loop[k.POLLS] = len(core.links), descriptors
         self.loop[k.TIME_AT] = k.address(self.loop) + 8 * k.SECONDS
-        self.loop[k.SIGNED_TOO] = core.signing is None
+        self.loop[k.SIGNING] = k.KEYED * bool(key) | k.STRIPPED * signing.strip
         for number, role in enumerate(core.links):
             self.ports[number, k.FROM_VEHICLE] = role.direction == "from-vehicle"
         self._rows = len(core.links)  # the rows after the links' are for lent chunks
@@ -240,7 +243,8 @@ class CompiledCore:
             state.frames += ports[number, k.FRAMES]
             state.gaps += ports[number, k.MISSING]
             state.faulted += ports[number, k.FAULTED]
-            for column in (k.FRAMES, k.MISSING, k.FAULTED):
+            state.bad_signatures += ports[number, k.BAD_SIGNATURES]
+            for column in (k.FRAMES, k.MISSING, k.FAULTED, k.BAD_SIGNATURES):
                 ports[number, column] = 0
 
     def _settle(self, now_us: int, *, plain: bool = False) -> None:

@@ -29,8 +29,10 @@ from mavproxy_fault.proxy.interfaces import LinkRole
 from mavproxy_fault.proxy.statistics import LatencyHistogram
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
-from mavproxy_fault.wire.frame import INTEGER_LIMITS, build_frame
+from mavproxy_fault.wire.frame import INTEGER_LIMITS, Frame, build_frame
 from mavproxy_fault.wire.label import Label
+from mavproxy_fault.wire.parser import Parser
+from mavproxy_fault.wire.signing import Signing, derive_key, sign_frame
 
 STAMPS = {
     "ATTITUDE": "time_boot_ms", "GLOBAL_POSITION_INT": "time_boot_ms", "SCALED_IMU": "time_boot_ms",
@@ -156,9 +158,18 @@ def datagrams(draw: st.DrawFn, stamped: bool) -> list[bytes]:
                 stamp = ms if STAMPS[name] == "time_boot_ms" else ms * 1000 + unix_us
                 given_values[STAMPS[name]] = stamp
             component = draw(st.sampled_from([1, 1, 51]))
-            data += build_frame(
+            raw = build_frame(
                 message_layout(name), given_values, seq=n & 255, system=system, component=component
             )
+            if draw(st.integers(0, 2)) == 0:  # sometimes with another key, or an old timestamp
+                frame, key = (
+                    Frame(raw, message_layout(name)),
+                    draw(st.sampled_from([KEY, KEY, b""])),
+                )
+                raw = sign_frame(
+                    frame, key, draw(st.integers(0, 1)), draw(st.integers(n, n + 2))
+                ).raw
+            data += raw
         damage = draw(st.integers(0, 39))
         if damage == 0:
             place = draw(st.integers(0, len(data) - 1))
@@ -167,6 +178,8 @@ def datagrams(draw: st.DrawFn, stamped: bool) -> list[bytes]:
     return found
 
 
+KEY = derive_key("correct horse")
+Policy = tuple[bytes | None, bool] | None  # the key for signatures, and whether to strip them
 Edit = tuple[int, str, Any]  # before which datagram, what, and with what
 
 
@@ -214,6 +227,17 @@ def named_schedule(faults: Sequence[dict[str, Any]]) -> str:
     return json.dumps({"seed": 3, "faults": named})
 
 
+def new_core(
+    schedule: str,
+    policy: Policy,
+    roles: Sequence[LinkRole] = ROLES,
+    tape: CaptureBuffer | None = None,
+) -> Core:
+    """A core with a schedule and a policy for signed frames."""
+    signing = None if policy is None else Signing(policy[0], strip=policy[1])
+    return Core(roles, Engine(parse_schedule(schedule)), signing=signing, tape=tape)
+
+
 class Outcome(NamedTuple):
     """What one way made of the traffic: what left, the labels, and all that is remembered."""
 
@@ -221,10 +245,11 @@ class Outcome(NamedTuple):
     labels: list[Label]
     states: list[LinkState]
     senders: "array[int]"
+    streams: "array[int] | None"
 
 
 def compiled(
-    traffic: Sequence[bytes], schedule: str, edits: Sequence[Edit]
+    traffic: Sequence[bytes], schedule: str, edits: Sequence[Edit], policy: Policy
 ) -> tuple[Outcome, list[tuple[int, int]]]:
     """What the compiled form sends, the wall clock going on by 10 ms; and when edits were made and
     datagrams came."""
@@ -235,7 +260,7 @@ def compiled(
         station.bind(("127.0.0.1", 0))
         station.setblocking(False)
         links = [UdpServer("127.0.0.1", 0), UdpClient(*station.getsockname())]
-        core = Core(link_roles(links), Engine(parse_schedule(schedule)))
+        core = new_core(schedule, policy, link_roles(links))
         forwarder = Forwarder(links, core, [LatencyHistogram(), LatencyHistogram()], WALL_NS)
         sent, times = [], []
         for n, datagram in enumerate(traffic):
@@ -268,13 +293,15 @@ def finished(core: Core, sent: list[bytes], now_us: int) -> Outcome:
     """What is left after the last datagram, with all delayed frames."""
     sent.append(b"".join(send.data for send in core.due(now_us + 10_000_000)))
     core.finish(now_us + 10_000_000)
-    return Outcome(sent, core.drain_labels(), core.states, core.senders)
+    streams = core.signing and core.signing.verifier.streams
+    return Outcome(sent, core.drain_labels(), core.states, core.senders, streams)
 
 
 def interpreted(
     traffic: Sequence[bytes],
     schedule: str,
     edits: Sequence[Edit],
+    policy: Policy,
     times: Sequence[tuple[int, int]],
     *,
     machine: bool,
@@ -282,7 +309,7 @@ def interpreted(
     """What the core makes of datagrams that come at given times, with machine code before it or
     without; and its tape."""
     tape = CaptureBuffer()
-    core = Core(ROLES, Engine(parse_schedule(schedule)), tape=tape)
+    core = new_core(schedule, policy, tape=tape)
     front = CompiledCore(core, 0, tape) if machine else None
     sent = []
     for n, (datagram, (edited_us, came_us)) in enumerate(zip(traffic, times, strict=True)):
@@ -301,22 +328,49 @@ def _machine_code() -> None:
 
 
 def check(
-    traffic: Sequence[bytes], faults: Sequence[dict[str, Any]], edits: Sequence[Edit] = ()
+    traffic: Sequence[bytes],
+    faults: Sequence[dict[str, Any]],
+    edits: Sequence[Edit] = (),
+    policy: Policy = None,
 ) -> None:
     """Compare the two ways, the compiled one with and without sockets."""
     schedule = named_schedule(faults)
-    fast, times = compiled(traffic, schedule, edits)
-    reference = interpreted(traffic, schedule, edits, times, machine=False)
+    fast, times = compiled(traffic, schedule, edits, policy)
+    reference = interpreted(traffic, schedule, edits, policy, times, machine=False)
     assert reference[0] == fast
-    assert reference == interpreted(traffic, schedule, edits, times, machine=True)
+    assert reference == interpreted(traffic, schedule, edits, policy, times, machine=True)
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
-@given(st.booleans().flatmap(datagrams), st.lists(entries(), min_size=1, max_size=8), edits())
+@given(
+    st.booleans().flatmap(datagrams),
+    st.lists(entries(), min_size=1, max_size=8),
+    edits(),
+    st.sampled_from([None, None, (KEY, False), (KEY, True), (None, True)]),
+)
 def test_both_ways_give_the_same(
-    traffic: list[bytes], faults: list[dict[str, Any]], edits: list[Edit]
+    traffic: list[bytes], faults: list[dict[str, Any]], edits: list[Edit], policy: Policy
 ) -> None:
-    check(traffic, faults, edits)
+    check(traffic, faults, edits, policy)
+
+
+@pytest.mark.parametrize("policy", [(KEY, False), (KEY, True), (None, True)])
+def test_signed_frames_pass_in_machine_code_whatever_is_done_with_them(policy: Policy) -> None:
+    layout = message_layout("ATTITUDE")
+    fault = {"fault": "bias", "target": "ATTITUDE.roll", "value": 1}
+    core = new_core(named_schedule([fault]), policy)
+    machine = CompiledCore(core, 0, None)
+    for n in range(100):
+        raw = build_frame(layout, {"time_boot_ms": 10 * n + 10, "pitchspeed": n % 3}, seq=n)
+        signed = sign_frame(Frame(raw, layout), KEY, 0, n)
+        send, *_ = machine.received(0, signed.raw, 10_000 * n)  # before an announcement
+        (item,) = Parser().push(send.data)
+        assert isinstance(item, Frame)
+        assert item.number("roll") == 1
+        assert item.signed is not policy[1]
+    by_core = core.states[0].frames
+    machine.count()
+    assert (by_core, core.states[0].frames) == (1, 100), "the core takes only the first"
 
 
 def test_faults_begin_on_a_link_without_stamps() -> None:
