@@ -18,7 +18,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
-from mavproxy_fault.compiled.layout import AHEAD_US, HANDED_OVER
+from mavproxy_fault.compiled.layout import AHEAD_US
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links import datagram_batch
 from mavproxy_fault.links.link import Link
@@ -158,19 +158,9 @@ class Server:
         if self._held_ns:  # finish the batch without a long sleep
             next_ns = min(next_ns, time.monotonic_ns() + BATCH_NS)
         # Precise waits for due frames only.
-        reason = forwarder.forward(
-            min(next_ns, due_ns), spin=self._busy_poll, precise=due_ns < next_ns
-        )
+        forwarder.forward(min(next_ns, due_ns), spin=self._busy_poll, precise=due_ns < next_ns)
         if sends := forwarder.take_sends():
             self._send_all(sends, hold=forwarder.pending)
-        if reason == HANDED_OVER:
-            number, data, came_ns = forwarder.handed_over()
-            if data:
-                # Delayed frames may have been sent while it waited within its batch.
-                now_us = max((self._base_ns + came_ns) // 1000, self.core.last_due_us)
-                sends = self.core.received(number, data, now_us)
-                self._send_all(sends, hold=forwarder.pending)
-                self.latencies[number].add(time.monotonic_ns() - came_ns)
         if not forwarder.pending:
             self._send_held()
         for number in forwarder.ready():

@@ -19,6 +19,7 @@ from mavproxy_fault.compiled.element_bytes import (
 from mavproxy_fault.compiled.kernel import choose, i64, kernel
 from mavproxy_fault.compiled.layout import Shared
 from mavproxy_fault.compiled.rule_numbers import link_rules, value_rules
+from mavproxy_fault.compiled.signatures import sign_again
 from mavproxy_fault.fault_parts.rules import LOST
 from mavproxy_fault.proxy.senders import LINK_TIME
 from mavproxy_fault.wire.framing import range_crc
@@ -102,6 +103,8 @@ def is_ready(
         entry = shared.entries[step[k.ENTRY]]
         shared.places[place] = SKIPPED
         if _is_for(entry, sender, from_vehicle, instance):
+            if _own_time(entry, t_us, shared) >= entry[k.LABEL_AT]:
+                return False
             shared.places[place] = 0
             if signed and not entry[k.SEALED_TOO]:
                 shared.places[place] = SIGNED
@@ -281,10 +284,13 @@ def apply_chain(
 
 
 @kernel
-def seal(item: int, head: int, extra: int, shared: Shared) -> None:
-    """Write the checksum of a changed frame in `work`."""
+def seal(item: int, head: int, extra: int, signature_at: int, shared: Shared) -> None:
+    """Write the checksum of a changed frame in `work`, and its signature, which was at a place of
+    `data` (0: none)."""
     base, address = item * k.SLOT, shared.work.ctypes.data
     tail = base + head + i64(shared.work[base + 1])
     checksum = range_crc(address + base + 1, address + tail, np.uint64(extra), shared.crc)
     shared.work[tail] = checksum & np.uint64(0xFF)
     shared.work[tail + 1] = checksum >> np.uint64(8)
+    if signature_at:
+        sign_again(item, tail + 2, signature_at, shared)

@@ -20,7 +20,7 @@ from mavproxy_fault.proxy.senders import WALL_OFFSET
 from mavproxy_fault.proxy.vehicle_clock import stamp_location
 from mavproxy_fault.wire.dialect import Layout, find_layout
 from mavproxy_fault.wire.parser import frame_span, walk_frames
-from mavproxy_fault.wire.signing import SETUP_SIGNING
+from mavproxy_fault.wire.signing import SETUP_SIGNING, Signing
 
 if TYPE_CHECKING:
     from mavproxy_fault.compiled.plans import Plans
@@ -43,14 +43,17 @@ class CompiledCore:
         self._core = core
         self._tape = tape
         arrays = k.new_arrays(len(core.links), descriptors, keep=tape is not None)
-        self._arrays = {**arrays, "senders": core.senders}
+        signing = core.signing or Signing()
+        self._arrays = {**arrays, "senders": core.senders, "streams": signing.verifier.streams}
+        key = signing.key or b""
+        arrays["message"][: len(key)] = key
         self.loop, self.ports = arrays["loop"], arrays["ports"]
         self._learned: dict[int, Layout] = {}
         self._plans: Plans | None = None
         self.loop[k.KEEP] = tape is not None
         self.loop[k.LINK_COUNT], self.loop[k.POLLS] = len(core.links), descriptors
         self.loop[k.TIME_AT] = k.address(self.loop) + 8 * k.SECONDS
-        self.loop[k.SIGNED_TOO] = core.signing is None
+        self.loop[k.SIGNING] = k.KEYED * bool(key) | k.STRIPPED * signing.strip
         for number, role in enumerate(core.links):
             self.ports[number, k.FROM_VEHICLE] = role.direction == "from-vehicle"
         self._rows = len(core.links)  # the rows after the links' are for lent chunks
@@ -96,7 +99,6 @@ class CompiledCore:
         control = self._core.control
         seen: tuple[Any, ...] = (control and control.wanted,)
         if engine is not None:
-            self.loop[k.EDGE], self.loop[k.LINK_EDGE] = engine.edges_us
             seen += (engine.changes, engine.revision, engine.t0_us)
         plans = self._plans
         if seen != self._seen or (self._core_ran and plans is not None and plans.changed):
@@ -108,6 +110,8 @@ class CompiledCore:
             self._seen = seen  # only now: what fails for want of memory is done again
         if plans is not None and self._core_ran:
             plans.follow_idle()
+        if engine is not None:
+            self.loop[k.EDGE], self.loop[k.LINK_EDGE] = engine.edges_us
         self._core_ran = False
 
     def _classify(self, number: int) -> None:
@@ -171,13 +175,20 @@ class CompiledCore:
             at += passed
             if found in (k.FRAME, k.REST):
                 length = frame_length(data, at) if found == k.FRAME else len(data) - at
-                self._learn(data[at : at + length])
-                self._core_ran = True
-                sends += self._core.received(link, data[at : at + length], now_us, stream=stream)
+                sends += self._give(link, data[at : at + length], now_us, stream, begun=at > 0)
                 at += length
             if at >= len(data):
                 return sends
             self._lend(link, data[at:], now_us)
+
+    def _give(
+        self, link: int, data: bytes, now_us: int, stream: int = 0, *, begun: bool
+    ) -> list[Send]:
+        """Let the core take a frame or the rest of a datagram, of which a part may have passed."""
+        self._learn(data)
+        self._core_ran = True
+        receive = self._core.received_rest if begun else self._core.received
+        return receive(link, data, now_us, stream=stream)
 
     def _lend(self, link: int, data: bytes, now_us: int) -> None:
         """Pass a chunk in machine code, as far as that goes."""
@@ -232,7 +243,8 @@ class CompiledCore:
             state.frames += ports[number, k.FRAMES]
             state.gaps += ports[number, k.MISSING]
             state.faulted += ports[number, k.FAULTED]
-            for column in (k.FRAMES, k.MISSING, k.FAULTED):
+            state.bad_signatures += ports[number, k.BAD_SIGNATURES]
+            for column in (k.FRAMES, k.MISSING, k.FAULTED, k.BAD_SIGNATURES):
                 ports[number, column] = 0
 
     def _settle(self, now_us: int, *, plain: bool = False) -> None:
@@ -246,8 +258,7 @@ class CompiledCore:
             engine.now_us = max(engine.now_us, int(loop[k.WANTED_AT]))
             engine.link_us = int(loop[k.WANTED_LINK_AT])
             loop[k.WANTED_AT] = 0
-        if self._plans is not None and engine is not None and not plain:
-            self._core_ran |= self._plans.settle(engine)
+        begun = self._plans is not None and not plain and self._plans.settle(engine)
         at = 0
         while at < loop[k.HELD_AT]:
             due_us, mask, length = HELD.unpack_from(self._arrays["held"], at)
@@ -261,7 +272,8 @@ class CompiledCore:
             self._tape.sent += sent[: loop[k.SENT_AT]]
             self._tape.index += index[: loop[k.INDEX_AT]]
             self.drop_tape()
-        if engine is not None and not plain:
+        if begun:  # behind the frame that began it
+            self._core_ran = True
             self._sends += core.announce_labels(now_us)
 
     def take_sends(self) -> list[Send]:

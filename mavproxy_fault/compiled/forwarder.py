@@ -81,7 +81,7 @@ class Forwarder(CompiledCore):
     # A stretch of forwarding
 
     def forward(self, deadline_ns: int, *, spin: bool, precise: bool = False) -> int:
-        """Forward until `deadline_ns` of the monotonic clock or until it hands something over.
+        """Forward until `deadline_ns` of the monotonic clock or until the core had to take a frame.
 
         With `precise` the deadline is met to some microseconds, at the cost of processor time.
         """
@@ -98,6 +98,8 @@ class Forwarder(CompiledCore):
             self._sends += self._segments(loop[k.LINK], others, now_us)
             loop[k.OTHERS] = 0
         self._settle(now_us, plain=reason == k.OTHER_READY)
+        if reason == k.HANDED_OVER:
+            self._take_over(now_us)
         return reason
 
     def send_at(self, due_ns: int, sends: Sequence[Send]) -> bool:
@@ -126,10 +128,10 @@ class Forwarder(CompiledCore):
         """Whether received datagrams still wait in the rows."""
         return bool(self.loop[k.AT] < self.loop[k.COUNT])
 
-    def handed_over(self) -> tuple[int, bytes, int]:
-        """The frame or datagram handed over: link, bytes, and when it came, monotonic.
+    def _take_over(self, now_us: int) -> None:
+        """Let the core take the frame, or rest of a datagram, at which the machine code stopped.
 
-        Its sender becomes a peer; of one that may not speak there are no bytes.
+        Its sender becomes a peer, unless it may not speak.
         """
         loop = self.loop
         number, at, begin = int(loop[k.LINK]), int(loop[k.AT]), int(loop[k.ROW_AT])
@@ -148,10 +150,10 @@ class Forwarder(CompiledCore):
             if not link.register(bytes(name), data):
                 link.counters.refused += 1
                 loop[k.AT], loop[k.ROW_AT] = at + 1, 0
-                return number, b"", loop[k.CAME]
-        self._learn(data)
-        self._core_ran = True
-        return number, data, loop[k.CAME]
+                return
+        if data:
+            self._sends += self._give(number, data, now_us, begun=begin > 0)
+            self._latencies[number].add(time.monotonic_ns() - loop[k.CAME])
 
     @property
     def wakes_ready(self) -> bool:

@@ -12,10 +12,12 @@ from mavproxy_fault.compiled.chains import apply_chain, is_ready, read_instance,
 from mavproxy_fault.compiled.element_bytes import little_endian
 from mavproxy_fault.compiled.kernel import i64, kernel, kernel_of
 from mavproxy_fault.compiled.layout import Shared
+from mavproxy_fault.compiled.signatures import check_signature, note_signature
 from mavproxy_fault.proxy import sender_rules
 from mavproxy_fault.proxy import senders as cells
 from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, SAMPLE_PERIOD_US, UNIX_TIME_FROM_US
 from mavproxy_fault.proxy.vehicle_clock import HIL_SENSOR
+from mavproxy_fault.wire.frame import SIGNATURE_LENGTH
 from mavproxy_fault.wire.framing import frame_header, has_valid_checksum
 
 # The rules of the core, as machine code
@@ -187,7 +189,6 @@ def _pass_frame(
     """Pass a frame; DONE or NEWS, FRAME or REST if the core has to take it."""
     loop, data, senders, ports = shared.loop, shared.data, shared.senders, shared.ports
     size, payload, bit = i64(data[at + 1]), at + head, i64(1) << link
-    signed = head == 10 and data[at + 2] != 0
     place = at + (5 if head == 10 else 3)
     sender = i64(data[place]) << 8 | i64(data[place + 1])
     if number >= k.IDS:
@@ -196,13 +197,14 @@ def _pass_frame(
     if not has_valid_checksum(data.ctypes.data, at, head, np.uint64(entry[k.EXTRA]), shared.crc):
         return k.REST
     unknown = senders[cells.LINKS + sender] != bit
-    if unknown or entry[k.KIND] == k.INTERPRETED or (signed and not loop[k.SIGNED_TOO]):
+    if unknown or entry[k.KIND] == k.INTERPRETED:
         return k.FRAME
     elsewhere = ((i64(1) << loop[k.LINK_COUNT]) - 1) & ~bit
     places = (entry[k.TARGET_SYSTEM], entry[k.TARGET_COMPONENT])
     mask = select_links(senders, i64(read_target(data, payload, size, places)), elsewhere)
     loop[k.OTHERS] |= mask & ~loop[k.COMPILED_LINKS]
-    t_us = _is_ready_at(payload, size, number, sender, link, now_us, signed, shared)
+    sealed, cell = check_signature(at, head, stop, shared)
+    t_us = _is_ready_at(payload, size, number, sender, link, now_us, sealed, shared)
     if t_us == cells.UNKNOWN:
         return k.FRAME
     ports[link, k.FRAMES] += 1
@@ -213,6 +215,8 @@ def _pass_frame(
     senders[cells.WALL_OFFSET] = now_us - senders[cells.LINK_TIME]
     if loop[k.KEEP]:
         _record_received(link, now_us, at, stop - at, shared)
+    stop = note_signature(at, stop, entry[k.EXTRA], sealed, cell, link, shared)
+    signature_at = stop - SIGNATURE_LENGTH if head == 10 and data[at + 2] else 0
     if entry[k.KIND] != k.PASS:
         loop[k.WANTED_AT], loop[k.WANTED_LINK_AT] = t_us, senders[cells.LINK_TIME]
     if entry[k.KIND] != k.PLANNED:
@@ -229,7 +233,7 @@ def _pass_frame(
         if mask == 0:
             continue
         if shared.items[item, k.ALTERED]:
-            seal(item, head, entry[k.EXTRA], shared)
+            seal(item, head, entry[k.EXTRA], signature_at, shared)
         if shared.items[item, k.LATE_US]:
             _hold(item, mask, now_us, shared)
         else:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from mavproxy_fault.fault_parts.memory import ARENA
 from mavproxy_fault.numerics.crc import SLICES, slicing_tables
+from mavproxy_fault.numerics.sha256 import ROUNDS, STATE, sha256_constants
 
 BATCH = 64  # datagrams per system call
 ROW = 65_536  # bytes kept for each
@@ -29,6 +30,7 @@ BLOCK = 2048  # numbers drawn ahead for each
 MOST_WORK = 64  # frames that one frame may become
 SLOT = 320  # bytes kept for each, more than the longest frame
 MOST_CHAIN = 32  # entries that may act on one message
+MESSAGE = 384  # bytes of a key, the longest frame and the end of SHA-256, in blocks of 64
 SAMPLES = 1024  # senders of sampled messages that are distinguished
 
 # Columns of `table`, by message id
@@ -43,7 +45,8 @@ REMEMBERS, BY_SENDER, SEALED_TOO, QUIET = range(7, 11)  # QUIET: directions in i
 DRAW_COUNT, DRAWS_FROM, USED, CHANCES_FROM, CHANCES_USED = range(11, 16)  # -1: draws nothing
 ON_LINK, UNTIL = 16, 17  # whether it counts in link time; from when on the core has to see a frame
 FRAMES_HIT, SATURATED, SEALED, FIRST_US, WAYS = range(18, 23)  # counts; WAYS: bit mask
-ENTRY_SIZE = 23
+LABEL_AT = 23  # when the core has to see a frame for a label
+ENTRY_SIZE = 24
 VALUES, DELAY, COPIES, RENUMBER, IDLE = range(5)  # effects; IDLE: none before UNTIL
 # Columns of `steps`, the chains of entries on a message
 ENTRY, FROM, TO, NEXT, END, NEED, NUMBERS_FROM = range(7)  # END: bytes that the elements need
@@ -61,7 +64,8 @@ RESEALED, CHANGED = 1, 2  # what ALTERED says: a new checksum, or other bytes to
 FD, COMPILED, LISTENS, PEER_COUNT, FROM_VEHICLE = range(5)
 DATAGRAMS, BYTES, FRAMES, MISSING, FAULTED, SENT, BYTES_SENT, DROPS, ERRORS = range(5, 14)
 LONE, NAME_SIZE = 14, 15  # whether to receive one datagram at a time; bytes of an address
-PORT_SIZE = 16
+BAD_SIGNATURES = 16
+PORT_SIZE = 17
 # Columns of `heads` and `headers`, the words of a `mmsghdr`; of `parts`, those of an `iovec`
 NAME_AT, NAME_LENGTH, PARTS_AT, PART_COUNT, _CONTROL, _CONTROL_LENGTH, _FLAGS, LENGTH = range(8)
 DATA_AT, DATA_LENGTH = range(2)
@@ -72,7 +76,8 @@ DRY, CAME = 17, 23  # whether a block of drawn numbers ran out; when the newest 
 TIME_AT, POLLS_AT, HEADS_AT, HEADERS_AT, PEERS_AT = range(18, 23)  # addresses, for system calls
 DUE_COUNT, DUE_AT = 24, 25  # datagrams to send at one time, kept in the rows after the links'
 COMPILED_LINKS = 26  # bit mask
-SIGNED_TOO = 27  # whether signed frames pass; else a key has to be looked at
+SIGNING = 27  # what to do with signed frames: nothing (0), or a mask of these two
+KEYED, STRIPPED = 1, 2
 ROW_AT, OUT_AT, SEGMENT, OPEN = range(28, 32)  # in the datagram; in the output; its open segment
 HELD_AT, KEY_COUNT = 32, 33  # bytes of delayed frames, and rows of `keys`
 LENT, FOUND = 34, 35  # bytes of a chunk lent in the last row; what became of a datagram
@@ -138,6 +143,11 @@ class Shared(NamedTuple):
     items: Integers  # (MOST_WORK, 3)
     samples: Integers  # (SAMPLES, 2) sender and period of the newest sample
     outcome: Doubles  # (2,)
+    message: Octets  # (MESSAGE,) what a signature is made of; the key comes first
+    sha_words: Any  # (ROUNDS,) uint32, as the next two
+    sha_state: Any  # (STATE,)
+    sha_constants: Any  # (ROUNDS + STATE,)
+    streams: Integers  # (2 STREAMS,) of `signing.stream_cell`
 
 
 ORDER = Shared(*range(len(Shared._fields)))  # where each array's address is given
@@ -187,4 +197,8 @@ def new_arrays(links: int, descriptors: int, *, keep: bool) -> dict[str, Any]:
         "items": table("q", MOST_WORK, 3),
         "samples": table("q", SAMPLES, 2),
         "outcome": table("d", 2),
+        "message": table("B", MESSAGE),
+        "sha_words": table("I", ROUNDS),
+        "sha_state": table("I", STATE),
+        "sha_constants": sha256_constants(),
     }

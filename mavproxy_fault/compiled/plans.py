@@ -32,10 +32,10 @@ LARGEST_SHIFT_S = 1e9  # of a timestamp: with it microseconds are exact as numbe
 
 
 class Stage(NamedTuple):
-    """How far an entry has come: its fault, has its label begun, how much does it remember."""
+    """How far an entry has come: its fault, when its next label is due, how much it remembers."""
 
     fault: Any
-    begun: bool
+    label_us: int
     memories: int
 
 
@@ -52,8 +52,7 @@ def memories_of(running: ActiveEntry) -> list[tuple[int, tuple[int, ...], Memory
 
 def stage(running: ActiveEntry) -> Stage:
     """Return how far an entry has come."""
-    begun = running.first_us is not None and not running.unannounced
-    return Stage(running.fault, begun, len(memories_of(running)))
+    return Stage(running.fault, running.label_us, len(memories_of(running)))
 
 
 class DrawnAhead:
@@ -175,7 +174,7 @@ class Plans:
         if row == k.MOST_ENTRIES or our_faults().get(getattr(kind, "name", "")) is not kind:
             return None
         plan = [-1] * k.ENTRY_SIZE
-        plan[k.FRAMES_HIT :] = [0] * (k.ENTRY_SIZE - k.FRAMES_HIT)
+        plan[k.FRAMES_HIT : k.LABEL_AT] = [0] * (k.LABEL_AT - k.FRAMES_HIT)
         if isinstance(fault, RuleFault) and fault.rule is not None:
             plan[k.EFFECT], plan[k.RULE] = k.VALUES, value_rules().index(fault.rule)
             profile = getattr(fault, "profile", None)
@@ -196,11 +195,13 @@ class Plans:
             plan[k.EFFECT], plan[k.REMEMBERS] = k.IDLE, 0
         else:
             return None
+        begun = running.label_us > -NEVER_US
         plan[k.START], plan[k.BY_SENDER] = running.start_us, getattr(fault, "by_sender", False)
-        plan[k.SEALED_TOO], plan[k.QUIET] = running.takes_sealed, 3 * stage(running).begun
+        plan[k.SEALED_TOO], plan[k.QUIET] = running.takes_sealed, 3 * begun
         # The core sees the first frame of a fault that has something to do at intervals.
         plan[k.UNTIL] = 0 if hasattr(fault, "idle_until_us") else NEVER_US
         plan[k.ON_LINK] = running.on_link
+        plan[k.LABEL_AT] = running.label_us if begun else NEVER_US
         direction = None if where.direction is None else WAYS.index(where.direction)
         plan[k.SYSTEM : k.INSTANCE + 1] = [
             -1 if one is None else one

@@ -16,7 +16,9 @@ from mavproxy_fault.compiled.kernel import i64, kernel
 from mavproxy_fault.compiled.layout import ORDER, Shared
 from mavproxy_fault.fault_parts.memory import NUMBERS
 from mavproxy_fault.numerics.crc import SLICES
+from mavproxy_fault.numerics.sha256 import ROUNDS, STATE
 from mavproxy_fault.proxy import senders as cells
+from mavproxy_fault.wire.signing import STREAMS
 
 DONTWAIT = 0x40
 MONOTONIC = 1  # clock
@@ -205,6 +207,8 @@ def _drain(link: int, lent: int, shared: Shared) -> int:
         if not _receive(link, shared):
             return -1
         loop[k.CAME] = started  # of the whole batch, however often it is interrupted
+        if started >= loop[k.DEADLINE]:  # what was due before it leaves before it
+            return k.TIME_IS_UP
     begun = loop[k.AT]
     found = _pass_rows(link, loop[k.LINK_COUNT] if lent else link, shared)
     if lent:
@@ -339,5 +343,10 @@ def forward(addresses: Any) -> int:
             carray(addresses[ORDER.items], (k.MOST_WORK, 3), i64),
             carray(addresses[ORDER.samples], (k.SAMPLES, 2), i64),
             carray(addresses[ORDER.outcome], (2,), f64),
+            carray(addresses[ORDER.message], (k.MESSAGE,), u8),
+            carray(addresses[ORDER.sha_words], (ROUNDS,), np.uint32),
+            carray(addresses[ORDER.sha_state], (STATE,), np.uint32),
+            carray(addresses[ORDER.sha_constants], (ROUNDS + STATE,), np.uint32),
+            carray(addresses[ORDER.streams], (2 * STREAMS,), i64),
         )
     )

@@ -360,15 +360,20 @@ class ActiveEntry:
             clock="link" if self.on_link else "",
         )
 
+    @property
+    def label_us(self) -> int:
+        """Time at which its next label is due, NEVER_US for none; the first is always due."""
+        if self._announced_us is None:
+            return -NEVER_US
+        # A slider changes the value many times a second: limit the rate of labels.
+        return self._announced_us + VALUE_LABEL_INTERVAL_US if self.unannounced else NEVER_US
+
     def pending_label(self, t_us: int) -> Label | None:
         """Return a label for the activation's first changed frame or a new value, if due."""
-        if self.first_us is None:
+        if self.first_us is None or t_us < self.label_us:
             return None
         if self._announced_us is None:
             self.changed_us = None  # a value set earlier is the initial value
-        # A slider changes the value many times a second: limit the rate of labels.
-        elif not self.unannounced or t_us - self._announced_us < VALUE_LABEL_INTERVAL_US:
-            return None
         self.unannounced = self.needs_attention = False
         self._announced_us = t_us
         return self.label(None)

@@ -142,6 +142,18 @@ class Core:
         # Earlier due frames leave first, so the order depends only on timestamps. No incomplete
         # frame is abandoned here: the rest may be in the same batch of reads.
         sends = self.release_due(now_us)
+        return sends + self.received_rest(link, data, now_us, stream=stream, direction=direction)
+
+    def received_rest(
+        self,
+        link: int,
+        data: bytes,
+        now_us: int,
+        *,
+        stream: int = 0,
+        direction: Direction | None = None,
+    ) -> list[Send]:
+        """Process the rest of a datagram or chunk whose first frames have passed."""
         role = self.links[link]
         key = (link, stream)
         parser = self._parsers.get(key)
@@ -158,8 +170,7 @@ class Core:
         if data and not role.datagrams:
             self._resync_deadlines.setdefault(key, ResyncDeadline()).note_arrival(len(data), now_us)
             self._wait_for_rest(key)
-        arrival = Arrival(link, direction or role.direction, now_us)
-        return sends + self._process(items, arrival)
+        return self._process(items, Arrival(link, direction or role.direction, now_us))
 
     def due(self, now_us: int) -> list[Send]:
         """Return what is due by `now_us`, in order, and then abandoned incomplete frames."""

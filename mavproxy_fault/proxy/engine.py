@@ -228,8 +228,13 @@ class Engine:
 
     @property
     def edges_us(self) -> tuple[int, int]:
-        """Next scheduled start or end, by vehicle time and by link time."""
-        return self._edges_us[0], self._edges_us[1]
+        """Times from which frames have to be seen: of the next scheduled start or end, by vehicle
+        time and by link time.
+
+        With the labels of a live edit waiting, the next frame announces them.
+        """
+        waiting = self._labels or self._released
+        return -NEVER_US if waiting else self._edges_us[0], self._edges_us[1]
 
     def active_entries(self, number: int) -> tuple[ActiveEntry, ...] | None:
         """Return the entries active on a message; None if a condition reads it."""

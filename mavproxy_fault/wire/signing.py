@@ -10,7 +10,8 @@ References
 """
 
 import hashlib
-from dataclasses import dataclass, field
+from array import array
+from collections.abc import MutableSequence
 
 from fastcrc.crc16 import mcrf4xx
 
@@ -18,6 +19,8 @@ from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import SIGNATURE_LENGTH, SIGNED, STX_V2, Frame
 
 DIGEST_LENGTH = 6
+KEY_LENGTH = 32
+STREAMS = 4096  # chosen: with the key a peer could make up 2^24
 CRC_LENGTH = 2
 SETUP_SIGNING = message_layout("SETUP_SIGNING").id
 KEY_AT = message_layout("SETUP_SIGNING").fields["secret_key"].offset
@@ -34,24 +37,41 @@ def _digest(key: bytes, raw: bytes) -> bytes:
     return hashlib.sha256(key + raw[:-DIGEST_LENGTH]).digest()[:DIGEST_LENGTH]
 
 
-@dataclass(slots=True)
-class Verifier:
-    """Verifies signatures with one key; stores the newest timestamp of each stream."""
+def stream_cell(streams: MutableSequence[int], stream: int) -> int:
+    """Return where a stream's least acceptable timestamp is, -1 without room for another stream.
 
-    key: bytes
-    newest: dict[tuple[int, int, int], int] = field(default_factory=dict)
+    A rule in numbers only, which `compiled` compiles. `streams` has two numbers for each of
+    `STREAMS`: which it is, plus one, and that timestamp.
+    """
+    row = (stream ^ stream >> 9) % STREAMS
+    for _ in range(STREAMS):
+        if streams[2 * row] == 0:
+            streams[2 * row] = stream + 1
+        if streams[2 * row] == stream + 1:
+            return 2 * row + 1
+        row = (row + 1) % STREAMS
+    return -1
+
+
+class Verifier:
+    """Verifies signatures with one key; `streams` has the state of `stream_cell`."""
+
+    def __init__(self, key: bytes) -> None:
+        self.key = key
+        self.streams = array("q", bytes(16 * STREAMS))
 
     def verify(self, frame: Frame) -> bool:
         """Whether a signed frame's signature is correct and newer than the stream's last one."""
         raw = frame.raw
         if raw[-DIGEST_LENGTH:] != _digest(self.key, raw):
             return False
-        stream = (frame.system, frame.component, raw[-SIGNATURE_LENGTH])
+        stream = frame.system << 16 | frame.component << 8 | raw[-SIGNATURE_LENGTH]
         stamp = int.from_bytes(raw[STAMP_AT], "little")
+        cell = stream_cell(self.streams, stream)
         # A replayed frame has a correct signature but an old timestamp.
-        if stamp <= self.newest.get(stream, -1):
+        if cell < 0 or stamp < self.streams[cell]:
             return False
-        self.newest[stream] = stamp
+        self.streams[cell] = stamp + 1
         return True
 
 
@@ -116,11 +136,11 @@ class Signing:
     def __init__(self, key: bytes | None = None, *, strip: bool = False) -> None:
         self.key = key
         self.strip = strip
-        self._verifier = Verifier(key or b"")
+        self.verifier = Verifier(key or b"")
 
     def verify_incoming(self, frame: Frame) -> tuple[Frame, bool]:
         """Return a signed frame, stripped if requested, and whether it is sealed."""
-        if self.key is not None and not self._verifier.verify(frame):
+        if self.key is not None and not self.verifier.verify(frame):
             return frame, True
         if self.strip:
             return strip_signature(frame), False

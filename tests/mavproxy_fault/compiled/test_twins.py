@@ -20,6 +20,7 @@ from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.compiled_core import CompiledCore
 from mavproxy_fault.compiled.forwarder import Forwarder
 from mavproxy_fault.compiled.object_file import load, make
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core, LinkState
@@ -28,8 +29,10 @@ from mavproxy_fault.proxy.interfaces import LinkRole
 from mavproxy_fault.proxy.statistics import LatencyHistogram
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
-from mavproxy_fault.wire.frame import INTEGER_LIMITS, build_frame
+from mavproxy_fault.wire.frame import INTEGER_LIMITS, Frame, build_frame
 from mavproxy_fault.wire.label import Label
+from mavproxy_fault.wire.parser import Parser
+from mavproxy_fault.wire.signing import Signing, derive_key, sign_frame
 
 STAMPS = {
     "ATTITUDE": "time_boot_ms", "GLOBAL_POSITION_INT": "time_boot_ms", "SCALED_IMU": "time_boot_ms",
@@ -163,15 +166,84 @@ def datagrams(draw: st.DrawFn, stamped: bool) -> list[bytes]:
                 stamp = ms if STAMPS[name] == "time_boot_ms" else ms * 1000 + unix_us
                 given_values[STAMPS[name]] = stamp
             component = draw(st.sampled_from([1, 1, 51]))
-            data += build_frame(
+            raw = build_frame(
                 message_layout(name), given_values, seq=n & 255, system=system, component=component
             )
+            if draw(st.integers(0, 2)) == 0:  # sometimes with another key, or an old timestamp
+                frame, key = (
+                    Frame(raw, message_layout(name)),
+                    draw(st.sampled_from([KEY, KEY, b""])),
+                )
+                raw = sign_frame(
+                    frame, key, draw(st.integers(0, 1)), draw(st.integers(n, n + 2))
+                ).raw
+            data += raw
         damage = draw(st.integers(0, 39))
         if damage == 0:
             place = draw(st.integers(0, len(data) - 1))
             data = data[:place] + b"\x55" + data[place + 1 :]
         found.append(data + b"\xfdjunk" if damage == 1 else data)
     return found
+
+
+KEY = derive_key("correct horse")
+Policy = tuple[bytes | None, bool] | None  # the key for signatures, and whether to strip them
+Edit = tuple[int, str, Any]  # before which datagram, what, and with what
+
+
+@st.composite
+def edits(draw: st.DrawFn) -> list[Edit]:
+    """What a user changes while traffic flows."""
+    ids = st.sampled_from(["f0", "f1", "f2", "new"])
+    found: list[Edit] = []
+    for _ in range(draw(st.integers(0, 5))):
+        what = draw(st.sampled_from(["arm", "arm", "clear", "update", "update", "replace"]))
+        content: Any = draw(ids)
+        if what == "arm":
+            content = {**draw(entries()), "id": content}
+        elif what == "update":
+            content = content, draw(numbers)
+        elif what == "replace":
+            content = draw(st.lists(entries(), max_size=3)), draw(st.booleans())
+        found.append((draw(st.integers(0, 60)), what, content))
+    return found
+
+
+def apply_edits(core: Core, edits: Sequence[Edit], at: int, now_us: int) -> bytes:
+    """Apply what is due before a datagram, as live control does; what leaves before."""
+    wanted = [edit for edit in edits if edit[0] == at]
+    data = b"".join(send.data for send in core.due(now_us)) if wanted else b""
+    engine = core.engine
+    assert isinstance(engine, Engine)
+    for _, what, content in wanted:
+        engine.advance_time(now_us if core.clock.t0_us is None else core.clock.t_us)
+        with contextlib.suppress(ConfigError):  # a fault without a value, or an unknown one
+            if what == "arm":
+                engine.arm(content)
+            elif what == "clear":
+                engine.clear(content)
+            elif what == "update":
+                engine.update(*content)
+            else:
+                engine.replace(parse_schedule(named_schedule(content[0])), anew=content[1])
+    return data
+
+
+def named_schedule(faults: Sequence[dict[str, Any]]) -> str:
+    """A schedule of faults f0, f1 and so on."""
+    named = [{"id": f"f{n}", **fault} for n, fault in enumerate(faults)]
+    return json.dumps({"seed": 3, "faults": named})
+
+
+def new_core(
+    schedule: str,
+    policy: Policy,
+    roles: Sequence[LinkRole] = ROLES,
+    tape: CaptureBuffer | None = None,
+) -> Core:
+    """A core with a schedule and a policy for signed frames."""
+    signing = None if policy is None else Signing(policy[0], strip=policy[1])
+    return Core(roles, Engine(parse_schedule(schedule)), signing=signing, tape=tape)
 
 
 class Outcome(NamedTuple):
@@ -181,10 +253,14 @@ class Outcome(NamedTuple):
     labels: list[Label]
     states: list[LinkState]
     senders: "array[int]"
+    streams: "array[int] | None"
 
 
-def compiled(traffic: Sequence[bytes], schedule: str) -> tuple[Outcome, list[int]]:
-    """What the compiled form sends, the wall clock going on by 10 ms; and when each came."""
+def compiled(
+    traffic: Sequence[bytes], schedule: str, edits: Sequence[Edit], policy: Policy
+) -> tuple[Outcome, list[tuple[int, int]]]:
+    """What the compiled form sends, the wall clock going on by 10 ms; and when edits were made and
+    datagrams came."""
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle,
@@ -192,67 +268,65 @@ def compiled(traffic: Sequence[bytes], schedule: str) -> tuple[Outcome, list[int
         station.bind(("127.0.0.1", 0))
         station.setblocking(False)
         links = [UdpServer("127.0.0.1", 0), UdpClient(*station.getsockname())]
-        core = Core(link_roles(links), Engine(parse_schedule(schedule)))
+        core = new_core(schedule, policy, link_roles(links))
         forwarder = Forwarder(links, core, [LatencyHistogram(), LatencyHistogram()], WALL_NS)
-        sent, came_us = [], []
-        for datagram in traffic:
+        sent, times = [], []
+        for n, datagram in enumerate(traffic):
             forwarder.loop[k.BASE] += STEP_MS * 1_000_000
+            edited_us = (forwarder.loop[k.BASE] + time.monotonic_ns()) // 1000
+            data = apply_edits(core, edits, n, edited_us)
             vehicle.sendto(datagram, ("127.0.0.1", links[0].port))
             arrived = forwarder.ports[0, k.DATAGRAMS] + 1
-            now_us = (forwarder.loop[k.BASE] + time.monotonic_ns()) // 1000
-            data = b"".join(send.data for send in core.due(now_us))
             while forwarder.ports[0, k.DATAGRAMS] < arrived or forwarder.pending:
-                reason = forwarder.forward(time.monotonic_ns() + 100_000, spin=False)
+                until_ns = time.monotonic_ns() + 100_000
+                now_us = (forwarder.loop[k.BASE] + until_ns) // 1000 - 100
+                if not forwarder.loop[k.ROW_AT]:  # not in the middle of a datagram
+                    data += b"".join(send.data for send in core.due(now_us))
+                if core.next_due_us is not None:
+                    until_ns = min(until_ns, core.next_due_us * 1000 - forwarder.loop[k.BASE])
+                forwarder.forward(until_ns, spin=False)
                 with contextlib.suppress(BlockingIOError):
                     while True:
                         data += station.recv(65_535)
-                sends = forwarder.take_sends()
-                if reason == k.HANDED_OVER:
-                    number, rest, came_ns = forwarder.handed_over()
-                    now_us = (forwarder.loop[k.BASE] + came_ns) // 1000
-                    sends += core.received(number, rest, now_us) if rest else []
-                data += b"".join(send.data for send in sends)
-            came_us.append((forwarder.loop[k.BASE] + forwarder.loop[k.CAME]) // 1000)
+                data += b"".join(send.data for send in forwarder.take_sends())
+            times.append((edited_us, (forwarder.loop[k.BASE] + forwarder.loop[k.CAME]) // 1000))
             sent.append(data)
         forwarder.count()
         for link in links:
             link.close()
-    return finished(core, sent, came_us[-1]), came_us
+    return finished(core, sent, times[-1][1]), times
 
 
 def finished(core: Core, sent: list[bytes], now_us: int) -> Outcome:
     """What is left after the last datagram, with all delayed frames."""
     sent.append(b"".join(send.data for send in core.due(now_us + 10_000_000)))
     core.finish(now_us + 10_000_000)
-    return Outcome(sent, core.drain_labels(), core.states, core.senders)
+    streams = core.signing and core.signing.verifier.streams
+    return Outcome(sent, core.drain_labels(), core.states, core.senders, streams)
 
 
-def interpreted(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int]) -> Outcome:
-    """What the core sends for datagrams that come at given times."""
-    core = Core(ROLES, Engine(parse_schedule(schedule)))
-    sent = [
-        b"".join(send.data for send in core.received(0, datagram, now_us))
-        for datagram, now_us in zip(traffic, came_us, strict=True)
-    ]
-    return finished(core, sent, came_us[-1])
-
-
-def lent(traffic: Sequence[bytes], schedule: str, came_us: Sequence[int]) -> Outcome:
-    """What becomes of the same without sockets; the tape holds what the core's would."""
-    cores = [Core(ROLES, Engine(parse_schedule(schedule)), tape=CaptureBuffer()) for _ in range(2)]
-    core, reference = cores
-    tape = core._capture
-    assert tape is not None
-    machine, sent = CompiledCore(core, 0, tape), []
-    for datagram, now_us in zip(traffic, came_us, strict=True):
-        sends = machine.received(0, datagram, now_us)
-        sent.append(b"".join(send.data for send in sends))
-        reference.received(0, datagram, now_us)
-    machine.count()
-    outcome = finished(core, sent, came_us[-1])
-    finished(reference, [], came_us[-1])
-    assert tape == reference._capture
-    return outcome
+def interpreted(
+    traffic: Sequence[bytes],
+    schedule: str,
+    edits: Sequence[Edit],
+    policy: Policy,
+    times: Sequence[tuple[int, int]],
+    *,
+    machine: bool,
+) -> tuple[Outcome, CaptureBuffer]:
+    """What the core makes of datagrams that come at given times, with machine code before it or
+    without; and its tape."""
+    tape = CaptureBuffer()
+    core = new_core(schedule, policy, tape=tape)
+    front = CompiledCore(core, 0, tape) if machine else None
+    sent = []
+    for n, (datagram, (edited_us, came_us)) in enumerate(zip(traffic, times, strict=True)):
+        data = apply_edits(core, edits, n, edited_us)
+        sends = (core if front is None else front).received(0, datagram, came_us)
+        sent.append(data + b"".join(send.data for send in sends))
+    if front is not None:
+        front.count()
+    return finished(core, sent, times[-1][1]), tape
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -261,20 +335,50 @@ def _machine_code() -> None:
     assert load() is not None
 
 
-def check(traffic: Sequence[bytes], faults: Sequence[dict[str, Any]]) -> None:
-    """Compare the two ways."""
-    named = [{"id": f"f{n}", **fault} for n, fault in enumerate(faults)]
-    schedule = json.dumps({"seed": 3, "faults": named})
-    fast, came_us = compiled(traffic, schedule)
-    reference = interpreted(traffic, schedule, came_us)
-    assert reference == fast
-    assert reference == lent(traffic, schedule, came_us)
+def check(
+    traffic: Sequence[bytes],
+    faults: Sequence[dict[str, Any]],
+    edits: Sequence[Edit] = (),
+    policy: Policy = None,
+) -> None:
+    """Compare the two ways, the compiled one with and without sockets."""
+    schedule = named_schedule(faults)
+    fast, times = compiled(traffic, schedule, edits, policy)
+    reference = interpreted(traffic, schedule, edits, policy, times, machine=False)
+    assert reference[0] == fast
+    assert reference == interpreted(traffic, schedule, edits, policy, times, machine=True)
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
-@given(st.booleans().flatmap(datagrams), st.lists(entries(), min_size=1, max_size=8))
-def test_both_ways_give_the_same(traffic: list[bytes], faults: list[dict[str, Any]]) -> None:
-    check(traffic, faults)
+@given(
+    st.booleans().flatmap(datagrams),
+    st.lists(entries(), min_size=1, max_size=8),
+    edits(),
+    st.sampled_from([None, None, (KEY, False), (KEY, True), (None, True)]),
+)
+def test_both_ways_give_the_same(
+    traffic: list[bytes], faults: list[dict[str, Any]], edits: list[Edit], policy: Policy
+) -> None:
+    check(traffic, faults, edits, policy)
+
+
+@pytest.mark.parametrize("policy", [(KEY, False), (KEY, True), (None, True)])
+def test_signed_frames_pass_in_machine_code_whatever_is_done_with_them(policy: Policy) -> None:
+    layout = message_layout("ATTITUDE")
+    fault = {"fault": "bias", "target": "ATTITUDE.roll", "value": 1}
+    core = new_core(named_schedule([fault]), policy)
+    machine = CompiledCore(core, 0, None)
+    for n in range(100):
+        raw = build_frame(layout, {"time_boot_ms": 10 * n + 10, "pitchspeed": n % 3}, seq=n)
+        signed = sign_frame(Frame(raw, layout), KEY, 0, n)
+        send, *_ = machine.received(0, signed.raw, 10_000 * n)  # before an announcement
+        (item,) = Parser().push(send.data)
+        assert isinstance(item, Frame)
+        assert item.number("roll") == 1
+        assert item.signed is not policy[1]
+    by_core = core.states[0].frames
+    machine.count()
+    assert (by_core, core.states[0].frames) == (1, 100), "the core takes only the first"
 
 
 def test_faults_begin_on_a_link_without_stamps() -> None:
@@ -337,8 +441,6 @@ def test_what_is_left_of_a_batch_after_a_count_is_counted_too() -> None:
             vehicle.sendto(frame, ("127.0.0.1", links[0].port))
     while not forwarder.pending:
         forwarder.forward(time.monotonic_ns() + 100_000, spin=False)
-    number, data, came_ns = forwarder.handed_over()
-    core.received(number, data, came_ns // 1000)
     forwarder.count()
     while forwarder.pending:
         forwarder.forward(time.monotonic_ns() + 100_000, spin=False)
@@ -354,20 +456,6 @@ def test_a_live_edit_loses_no_count_of_the_faults_already_acting() -> None:
         {"id": f"f{n}", "fault": "bias", "target": "ATTITUDE.roll", "value": n + 1}
         for n in range(2)
     )
-    cores = [Core(ROLES, Engine(parse_schedule(json.dumps({"faults": [first]})))) for _ in range(2)]
-    machine = CompiledCore(cores[0], 0, None)
-    for n in range(60):
-        values = {"time_boot_ms": STEP_MS * n + STEP_MS}
-        frame = build_frame(message_layout("ATTITUDE"), values, seq=n)
-        now_us = STEP_MS * 1000 * n
-        if n == 40:
-            for core in cores:
-                assert core.engine is not None
-                core.engine.arm(later)
-        assert machine.received(0, frame, now_us) == cores[1].received(0, frame, now_us)
-    machine.count()
-    for core in cores:
-        core.finish(1_000_000)
-    labels = [core.drain_labels() for core in cores]
-    assert labels[0] == labels[1]
-    assert [label.frames for label in labels[0] if label.end_us is not None] == [60, 20]
+    layout = message_layout("ATTITUDE")
+    traffic = [build_frame(layout, {"time_boot_ms": 10 * n + 10}, seq=n) for n in range(60)]
+    check(traffic, [first], [(40, "arm", later)])
