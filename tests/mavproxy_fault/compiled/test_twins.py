@@ -216,6 +216,7 @@ def apply_edits(core: Core, edits: Sequence[Edit], at: int, now_us: int) -> byte
     engine = core.engine
     assert isinstance(engine, Engine)
     for _, what, content in wanted:
+        core.advance_link(now_us)
         engine.advance_time(now_us if core.clock.t0_us is None else core.clock.t_us)
         with contextlib.suppress(ConfigError):  # a fault without a value, or an unknown one
             if what == "arm":
