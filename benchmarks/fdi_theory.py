@@ -13,8 +13,8 @@ from analysis.detection.isolation.ramp_windows import (
     WINDOW_COUNT,
     YOUNGEST_S,
     RampWindows,
-    ramp_statistics,
-    respond_to_ranges,
+    ramp_ratio,
+    respond,
 )
 from analysis.detection.statistics.bank import projected_weights
 from analysis.detection.statistics.chi_square import chi_square_threshold, two_sided_bound
@@ -153,9 +153,10 @@ def ramp_run(slope: float, onset: int, epochs: int, threshold: float) -> tuple[i
     kick = np.linalg.cholesky(gain @ h @ p + 1e-12 * np.eye(4))
     states, ones, after = np.array([0, 1, 2, CLOCK]), np.ones(count), np.zeros((ERROR_SIZE, 4))
     after[states] = p - gain @ h @ p
-    phi, zero = np.eye(ERROR_SIZE), np.zeros((WINDOW_COUNT, count))
-    each = count + 3
-    d, sums = np.zeros((ERROR_SIZE, WINDOW_COUNT * each)), np.zeros((WINDOW_COUNT, 5 * count + 12))
+    zero, w = np.zeros((WINDOW_COUNT, count)), WINDOW_COUNT
+    d, sums = np.zeros((ERROR_SIZE, w, count + 3)), np.zeros((5, w, count))
+    c, j, none = np.zeros((w, 3)), np.zeros((w, 3, 3)), np.zeros(w, np.int64)
+    windows = RampWindows(none, d, sums, c, j, zero[0], zero[0], zero, zero)
     starts, error, false = np.zeros(WINDOW_COUNT), np.zeros(4), []
     noise, drift = RNG.standard_normal((epochs, count)), RNG.standard_normal((epochs, 4))
     for k in range(epochs):
@@ -164,12 +165,10 @@ def ramp_run(slope: float, onset: int, epochs: int, threshold: float) -> tuple[i
         v[0] += slope * max(t - onset * dt, 0.0)
         if t - starts.max() >= STRIDE_S:
             w = int(starts.argmin())
-            starts[w], d[:, w * each : (w + 1) * each], sums[w] = t, 0.0, 0.0
-        windows = RampWindows(starts.astype(np.int64), d, sums, zero[0], zero[0], zero, zero)
-        ranges = normal_equations_over(states, h, ones, v)
-        d, sums = respond_to_ranges(windows, t - starts, phi, after, ranges, dt)
-        old = t - starts >= YOUNGEST_S
-        if (ramp_statistics(sums, zero, 0.0)[old] > threshold).any():
+            starts[w], d[:, w], sums[:, w] = t, 0.0, 0.0
+        respond(windows, t - starts, normal_equations_over(states, h, ones, v), after, True)
+        old = np.flatnonzero(t - starts >= YOUNGEST_S).tolist()
+        if any(ramp_ratio(windows, w, i, 0.0) > threshold for w in old for i in range(count)):
             if k >= onset:
                 return k - onset, false
             false.append(k)

@@ -24,7 +24,7 @@ from analysis.detection.filter.inertial import (
     GYRO_BIAS_SIGMA_RPS,
     PSI,
     gravity_ecef,
-    unsampled_variance,
+    unmeasured_variances,
 )
 from analysis.detection.filter.propagation import ImuSegment
 from analysis.samples.sample import Vector
@@ -47,10 +47,8 @@ LOST_TILT_RAD = 0.35  # 20 degrees: the filter is linear in the error of the til
 
 
 @compiled
-def _integrate(
-    q: Vector, alpha: Vector, samples: Vector
-) -> tuple[Vector, Vector, tuple[float, float]]:
-    alpha, speed, turn = alpha.copy(), 0.0, 0.0
+def _integrate(q: Vector, alpha: Vector, samples: Vector) -> tuple[Vector, Vector]:
+    alpha = alpha.copy()
     for k in range(samples.shape[0]):
         dt = samples[k, 0]
         rx, ry, rz = samples[k, GYRO] * dt, samples[k, GYRO + 1] * dt, samples[k, GYRO + 2] * dt
@@ -60,10 +58,7 @@ def _integrate(
             for j in range(3):
                 alpha[i] += mid[i, j] * samples[k, 4 + j] * dt
         q = rotate_attitude(q, rx, ry, rz)
-        more_speed, more_turn = unsampled_variance(samples, k)
-        speed += more_speed
-        turn += more_turn
-    return q, alpha, (speed, turn)
+    return q, alpha
 
 
 def new_alignment(motion: MotionEstimate) -> Alignment:
@@ -78,8 +73,11 @@ def extend_alignment(
     alignment: Alignment, motion: MotionEstimate, samples: Vector, dt_s: float
 ) -> Alignment:
     """The alignment after one epoch more, with the IMU's samples (k, 7) since the last one."""
-    q, alpha, more = _integrate(alignment.q_0b, alignment.alpha, samples)
-    speed, turn = (a + b for a, b in zip(alignment.unsampled, more, strict=True))
+    q, alpha = _integrate(alignment.q_0b, alignment.alpha, samples)
+    speed, turn = alignment.unsampled
+    unmeasured = unmeasured_variances(samples)
+    if unmeasured is not None:
+        speed, turn = speed + float(unmeasured[0].sum()), turn + float(unmeasured[1].sum())
     v = motion.x[3:6]
     # Coriolis over the interval by the mean velocity of its two ends.
     mean = 0.5 * (v + alignment.v_ecef_mps)

@@ -20,6 +20,7 @@ References
 """
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -31,7 +32,6 @@ from mavproxy_fault.numerics.constants import (
     WGS84_GM_M3PS2,
     WGS84_SEMI_MAJOR_M,
 )
-from mavproxy_fault.numerics.linear import multiply_matrices, transpose_matrix
 
 Three = tuple[float, float, float]
 Nine = tuple[float, float, float, float, float, float, float, float, float]
@@ -40,24 +40,20 @@ ERROR_SIZE = 20
 R, V, PSI, BG, BA, CLOCK, DRIFT, ISB = 0, 3, 6, 9, 12, 15, 16, 17
 X_Q, X_BG, X_BA, X_CLOCK, X_DRIFT, X_ISB = 6, 10, 13, 16, 17, 18
 DT, GYRO, ACCEL, SAMPLE_COLUMNS = 0, 1, 4, 7  # columns of a sample, and how many
-DIAGONAL = ERROR_SIZE + 1  # from one diagonal element of a covariance (400,) to the next
 # One sigma of the biases of cheap MEMS sensors at power-on; the filter narrows them in flight.
 GYRO_BIAS_SIGMA_RPS, ACCEL_BIAS_SIGMA_MPS2 = 0.02, 0.3
 COVARIANCE_STEP_S = 0.25  # at most propagated at once: exact but for the third power
 SPARSE_SAMPLE_S = 0.03  # in longer steps force and rates may have changed unmeasured
 
 
-@compiled
 def gravity_ecef(r: Vector) -> Vector:
     """Gravity (3,) in ECEF: mass attraction with J2, and the centrifugal part (WGS 84)."""
-    out = np.empty(3)
-    out[0], out[1], out[2] = _gravity(r[0], r[1], r[2])
-    return out
+    return np.array(_gravity(*r.tolist()))
 
 
 @compiled
 def _gravity(x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Gravity as in `gravity_ecef`, by components, without an array."""
+    """Gravity as in `gravity_ecef`, by components."""
     square = x * x + y * y + z * z
     size = math.sqrt(square)
     # At the origin, where no fix is yet, gravity would be infinite.
@@ -185,52 +181,21 @@ def _add_step(phi: Vector, c: Nine, f: Three, dt: float) -> None:
 
 
 @compiled
-def _add_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
-    """Add the IMU's noise over dt to p (400,), in place."""
-    for i in range(3):
-        p[DIAGONAL * (V + i)] += noise.accel_mps2 * dt
-        p[DIAGONAL * (PSI + i)] += noise.gyro_rps * dt
-    _add_walks(p, noise, dt)
+def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> int:
+    """Advance x and the transition phi (400,) in place by the samples from a row on, over
+    `COVARIANCE_STEP_S` at most; returns the row after."""
+    until_s = COVARIANCE_STEP_S
+    while row < samples.shape[0] and until_s > 0.0:
+        # Two samples with one stamp are one sample.
+        dt = samples[row, DT]
+        if dt > 0.0:
+            c, f = _mechanise(x, samples, row)
+            _add_step(phi, c, f, dt)
+            until_s -= dt
+        row += 1
+    return row
 
 
-@compiled
-def _add_walks(p: Vector, noise: NoiseDensities, dt: float) -> None:
-    """Add the random walk of its biases alone."""
-    for i in range(3):
-        p[DIAGONAL * (BG + i)] += noise.gyro_walk * dt
-        p[DIAGONAL * (BA + i)] += noise.accel_walk * dt
-
-
-@compiled
-def _add_clock_noise(p: Vector, noise: NoiseDensities, dt: float) -> None:
-    """Add the noise of the clock and of the systems' offsets."""
-    # White noise of the drift's rate, integrated twice, once and not at all.
-    p[DIAGONAL * CLOCK] += noise.clock_m * dt + noise.drift_mps * dt * dt * dt / 3.0
-    p[ERROR_SIZE * CLOCK + DRIFT] += noise.drift_mps * dt * dt / 2.0
-    p[ERROR_SIZE * DRIFT + CLOCK] += noise.drift_mps * dt * dt / 2.0
-    p[DIAGONAL * DRIFT] += noise.drift_mps * dt
-    for i in range(ISB, ERROR_SIZE):
-        p[DIAGONAL * i] += noise.isb_m * dt
-
-
-@compiled
-def _propagated(p: Vector, phi: Vector, noise: NoiseDensities) -> Vector:
-    """The covariance (20, 20) after the transition phi (20, 20): half of the IMU's noise comes
-    before it and half after, which is exact but for the third power of the time."""
-    # The clock's own transition is the elapsed time, so `dt` need not be handed in.
-    dt, p = phi[CLOCK, DRIFT], p.copy()
-    _add_noise(p.reshape(ERROR_SIZE * ERROR_SIZE), noise, 0.5 * dt)
-    p = multiply_matrices(phi, transpose_matrix(multiply_matrices(phi, p)))
-    # Rounding makes the product asymmetric, which Cholesky would amplify.
-    for i in range(ERROR_SIZE):
-        for j in range(i):
-            p[i, j] = p[j, i] = 0.5 * (p[i, j] + p[j, i])
-    _add_noise(p.reshape(ERROR_SIZE * ERROR_SIZE), noise, 0.5 * dt)
-    _add_clock_noise(p.reshape(ERROR_SIZE * ERROR_SIZE), noise, dt)
-    return p
-
-
-@compiled
 def propagate_inertial(
     x: Vector, p: Vector, samples: Vector, noise: NoiseDensities
 ) -> tuple[Vector, Vector, Vector]:
@@ -249,83 +214,75 @@ def propagate_inertial(
     -------
     x, p and the transition (20, 20) of the whole run; the arguments stay as they were.
     """
-    x, whole = x.copy(), np.eye(ERROR_SIZE)
-    row = 0
-    while row < samples.shape[0]:
-        phi = np.eye(ERROR_SIZE)
-        first = row
-        row, speed, turn = _advance(x, phi.reshape(ERROR_SIZE * ERROR_SIZE), samples, row)
-        p = _propagated(p, phi, noise)
-        for i in range(3):
-            p[V + i, V + i] += speed
-            p[PSI + i, PSI + i] += turn
-        whole = phi if first == 0 else multiply_matrices(phi, whole)
+    x, whole, row = x.copy(), np.eye(ERROR_SIZE), 0
+    unmeasured = unmeasured_variances(samples)
+    while row < len(samples):
+        phi, first = np.eye(ERROR_SIZE), row
+        row = _advance(x, phi.reshape(-1), samples, row)
+        p = _propagated(p, phi, noise, True)
+        if unmeasured is not None:
+            speed, turn = unmeasured[:, first:row].sum(axis=1)
+            diagonal = np.einsum("ii->i", p)
+            diagonal[V:PSI] += speed
+            diagonal[PSI:BG] += turn
+        whole = phi if first == 0 else phi @ whole
     return x, p, whole
 
 
-@compiled
-def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> tuple[int, float, float]:
-    """Advance x and the transition phi (400,) in place by the samples from a row on, over
-    `COVARIANCE_STEP_S` at most; the row after, and the variances of the velocity and of the
-    attitude by what no sample has seen."""
-    until_s, speed, turn = COVARIANCE_STEP_S, 0.0, 0.0
-    while row < samples.shape[0] and until_s > 0.0:
-        # Two samples with one stamp are one sample.
-        dt = samples[row, DT]
-        if dt > 0.0:
-            c, f = _mechanise(x, samples, row)
-            _add_step(phi, c, f, dt)
-            until_s -= dt
-            more_speed, more_turn = unsampled_variance(samples, row)
-            speed += more_speed
-            turn += more_turn
-        row += 1
-    return row, speed, turn
+def unmeasured_variances(samples: Vector) -> Vector | None:
+    """Variances (2, k) of velocity and attitude by what happens between the samples (k, 7) of a
+    slow IMU; None where all are close."""
+    sparse = samples[:, DT] > SPARSE_SAMPLE_S
+    if not sparse.any():
+        return None
+    # Between two samples force and rates may have been anything: the mean square of their change is
+    # that of white noise twice, on each of three axes.
+    square = np.diff(samples[:, GYRO:], axis=0, prepend=samples[:1, GYRO:]) ** 2
+    scale = sparse * samples[:, DT] ** 2 / 6.0
+    return np.array([scale * square[:, 3:].sum(axis=1), scale * square[:, :3].sum(axis=1)])
 
 
-@compiled
-def unsampled_variance(samples: Vector, row: int) -> tuple[float, float]:
-    """Variances of velocity and attitude by unmeasured motion since the row before."""
-    if row == 0 or samples[row, DT] <= SPARSE_SAMPLE_S:
-        return 0.0, 0.0
-    return _unmeasured(samples, row, ACCEL), _unmeasured(samples, row, GYRO)
+@cache
+def _noise_rates(noise: NoiseDensities, inertial: bool) -> tuple[Vector, Vector]:
+    """Process noise: the IMU's per second (20, 20), and all other by powers of the time, first to
+    third (3, 20, 20), that of free motion included unless `inertial`."""
+    imu, other, axes = np.zeros(ERROR_SIZE), np.zeros((3, ERROR_SIZE, ERROR_SIZE)), np.arange(3)
+    imu[V:PSI], imu[PSI:BG] = noise.accel_mps2, noise.gyro_rps
+    imu[BG:BA], imu[BA:CLOCK] = noise.gyro_walk, noise.accel_walk
+    # White noise of the drift's rate, integrated twice, once and not at all.
+    other[2, CLOCK, CLOCK] = noise.drift_mps / 3.0
+    other[1, CLOCK, DRIFT] = other[1, DRIFT, CLOCK] = noise.drift_mps / 2.0
+    other[0, CLOCK, CLOCK], other[0, DRIFT, DRIFT] = noise.clock_m, noise.drift_mps
+    other[0, range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] = noise.isb_m
+    if not inertial:
+        # Random acceleration, integrated to position and velocity. The biases keep walking.
+        other[2, R + axes, R + axes] = noise.motion_mps2 / 3.0
+        other[1, R + axes, V + axes] = other[1, V + axes, R + axes] = noise.motion_mps2 / 2.0
+        other[0, V + axes, V + axes] = noise.motion_mps2
+        imu[:BG] = 0.0
+    return np.diag(imu), other
 
 
-@compiled
-def _unmeasured(samples: Vector, row: int, first: int) -> float:
-    """Variance of the integral of force or rates (columns from `first`) over a step between whose
-    samples they may have been anything."""
-    square = 0.0
-    for i in range(first, first + 3):
-        change = samples[row, i] - samples[row - 1, i]
-        square += change * change
-    # Of white noise: a change has twice its variance, on each of three axes.
-    variance: float = square * samples[row, DT] ** 2 / 6.0
-    return variance
+def _propagated(p: Vector, phi: Vector, noise: NoiseDensities, inertial: bool) -> Vector:
+    """The covariance (20, 20) after the transition phi (20, 20): half of the IMU's noise comes
+    before it and half after, which is exact but for the third power of the time."""
+    imu, (first, second, third) = _noise_rates(noise, inertial)
+    # The clock's own transition is the elapsed time, so `dt` need not be handed in.
+    dt = phi.item(CLOCK, DRIFT)
+    half = 0.5 * dt * imu
+    p = phi @ (p + half) @ phi.T
+    p = 0.5 * (p + p.T)  # symmetric to the last digit
+    p += half + dt * (first + dt * (second + dt * third))
+    return p
 
 
-@compiled
 def propagate_freely(
     x: Vector, p: Vector, dt: float, noise: NoiseDensities
 ) -> tuple[Vector, Vector, Vector]:
     """State, covariance and transition over `dt` seconds without an IMU: steady velocity with
     random acceleration; shapes as for `propagate_inertial`."""
-    x = x.copy()
-    phi = np.eye(ERROR_SIZE)
-    for i in range(3):
-        phi[R + i, V + i] = dt
-        x[R + i] += x[V + i] * dt
-    phi[CLOCK, DRIFT] = dt
+    x, phi = x.copy(), np.eye(ERROR_SIZE)
+    phi[range(R, V), range(V, PSI)] = phi[CLOCK, DRIFT] = dt
+    x[R:V] += x[V:PSI] * dt
     x[X_CLOCK] += x[X_DRIFT] * dt
-    p = multiply_matrices(multiply_matrices(phi, p), transpose_matrix(phi))
-    _add_walks(p.reshape(ERROR_SIZE * ERROR_SIZE), noise, dt)
-    # Biases keep walking while the IMU is silent.
-    _add_clock_noise(p.reshape(ERROR_SIZE * ERROR_SIZE), noise, dt)
-    q = noise.motion_mps2
-    for i in range(3):
-        # Random acceleration, integrated to position and velocity.
-        p[R + i, R + i] += q * dt * dt * dt / 3.0
-        p[R + i, V + i] += q * dt * dt / 2.0
-        p[V + i, R + i] += q * dt * dt / 2.0
-        p[V + i, V + i] += q * dt
-    return x, p, phi
+    return x, _propagated(p, phi, noise, False), phi

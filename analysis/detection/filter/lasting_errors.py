@@ -25,7 +25,6 @@ import numpy as np
 from analysis.detection.filter.inertial import ISB
 from analysis.detection.filter.measurement import Innovations
 from analysis.orbits.broadcast import CLOCKS, troposphere_m
-from analysis.samples.block import Indices
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import invert_positive_definite
@@ -59,55 +58,6 @@ class VarianceFactor(NamedTuple):
         return max(self.total / self.dof, LEAST_FACTOR)
 
 
-class RangeGeometry(NamedTuple):
-    """The geometry of a snapshot by n ranges: lines of sight (n, 3) along some axes, and the place
-    of the clock of each one's system among the `unknowns` (n,), behind the position."""
-
-    line_of_sight: Vector
-    clock: Indices
-    unknowns: int
-
-
-@compiled
-def range_geometry(used: Innovations, axes: Vector) -> RangeGeometry:
-    """The geometry along the rows of `axes` (3, 3), with a clock for each system in use."""
-    count, h = used.geometry.shape[0], used.geometry
-    sight, clock = np.zeros((count, AXES)), np.empty(count, np.int64)
-    # The last place is GPS's, whose clock is the filter's own.
-    place, unknowns = np.full(CLOCKS, -1), AXES
-    for i in range(count):
-        system = CLOCKS - 1
-        for k in range(CLOCKS - 1):
-            if h[i, ISB + k] != 0.0:
-                system = k
-        if place[system] < 0:
-            place[system] = unknowns
-            unknowns += 1
-        clock[i] = place[system]
-        for k in range(AXES):
-            for j in range(AXES):
-                sight[i, k] += axes[k, j] * h[i, j]
-    return RangeGeometry(sight, clock, unknowns)
-
-
-@compiled
-def normal_matrix(lines: RangeGeometry, weight: Vector) -> Vector:
-    """A'WA (c, c) for weights (n,)."""
-    sight, clock, unknowns = lines
-    out = np.zeros((unknowns, unknowns))
-    for i in range(sight.shape[0]):
-        w, at = weight[i], clock[i]
-        for k in range(AXES):
-            for j in range(k + 1):
-                out[k, j] += w * sight[i, k] * sight[i, j]
-            out[at, k] += w * sight[i, k]
-        out[at, at] += w
-    for k in range(unknowns):
-        for j in range(k):
-            out[j, k] = out[k, j]
-    return out
-
-
 @compiled
 def lasting_variance(used: Innovations, factor: float) -> Vector:
     """The variance of lasting errors of each range (n,) in m^2."""
@@ -120,26 +70,50 @@ def lasting_variance(used: Innovations, factor: float) -> Vector:
 
 
 @compiled
-def lasting_position_covariance(
-    used: Innovations, lines: RangeGeometry, axes: Vector, factor: float
-) -> Vector:
-    """S L S' (3, 3) in ECEF, m^2, of a geometry along the rows of `axes` (3, 3)."""
-    lasts, weight = lasting_variance(used, factor), 1.0 / used.variance
-    normal = normal_matrix(lines, weight)
-    for k in range(lines.unknowns):
-        normal[k, k] += VAGUE_INFORMATION  # unobserved directions must not make it singular
-    cofactor, out = invert_positive_definite(normal), np.zeros((AXES, AXES))
-    response, moved = np.empty(AXES), np.empty(AXES)
-    for i in range(weight.shape[0]):
-        for k in range(AXES):
-            response[k] = cofactor[k, lines.clock[i]]
-            for j in range(AXES):
-                response[k] += cofactor[k, j] * lines.line_of_sight[i, j]
-        for k in range(AXES):
-            moved[k] = weight[i] * (
-                axes[0, k] * response[0] + axes[1, k] * response[1] + axes[2, k] * response[2]
-            )
+def snapshot_design(h: Vector, axes: Vector) -> Vector:
+    """The geometry A (n, 3 + systems) of ranges (n, 20): along the rows of `axes` (3, 3), and a
+    clock for each system in use."""
+    out = np.zeros((h.shape[0], AXES + CLOCKS))
+    place, unknowns = np.full(CLOCKS, -1), AXES
+    for i in range(h.shape[0]):
+        system = 0
+        for k in range(1, CLOCKS):
+            if h[i, ISB - 1 + k] != 0.0:
+                system = k
+        if place[system] < 0:
+            place[system] = unknowns
+            unknowns += 1
+        out[i, place[system]] = 1.0
         for k in range(AXES):
             for j in range(AXES):
-                out[k, j] += moved[k] * moved[j] * lasts[i]
+                out[i, k] += axes[k, j] * h[i, j]
+    return out[:, :unknowns].copy()
+
+
+@compiled
+def snapshot_cofactor(a: Vector, weight: Vector, vague: float) -> Vector:
+    """inv(A'WA) (c, c) for weights (n,); `vague` is added to the information of each unknown, as an
+    unobserved one must not make it singular."""
+    normal = np.zeros((a.shape[1], a.shape[1]))
+    for k in range(a.shape[1]):
+        normal[k, k] = vague
+        for i in range(a.shape[0]):
+            for j in range(a.shape[1]):
+                normal[k, j] += weight[i] * a[i, k] * a[i, j]
+    return invert_positive_definite(normal)
+
+
+@compiled
+def lasting_position_covariance(a: Vector, weight: Vector, lasts: Vector) -> Vector:
+    """S L S' (3, 3) along the axes of A (n, c), with weights and lasting variances (n,), in m^2."""
+    cofactor, out = snapshot_cofactor(a, weight, VAGUE_INFORMATION), np.zeros((AXES, AXES))
+    response = np.zeros(AXES)
+    for i in range(a.shape[0]):
+        for k in range(AXES):
+            response[k] = 0.0
+            for j in range(a.shape[1]):
+                response[k] += cofactor[k, j] * a[i, j] * weight[i]
+        for k in range(AXES):
+            for j in range(AXES):
+                out[k, j] += response[k] * response[j] * lasts[i]
     return out

@@ -68,7 +68,8 @@ class EpochObservation(Value, frozen=True):
     @property
     def satellite_states(self) -> Vector:
         """Satellites (n, 9) at transmission, as `broadcast.satellite_states`."""
-        return transmitting_states(self.measurements)
+        m = self.measurements
+        return satellite_states(m.packed, m.week, m.tow_s, m.pseudorange_m)
 
     def without_rates(self, names: Collection[str]) -> "EpochObservation":
         """The observation without the Doppler rates of the satellites `names`."""
@@ -107,27 +108,20 @@ class Innovations(NamedTuple):
     ionosphere_m: Vector
     geometry: Vector
 
-    def between(self, begin: int, end: int) -> "Innovations":
-        """The satellites from one index to another, as views."""
-        return Innovations(*(column[begin:end] for column in self))
-
     def select(self, keep: Mask) -> "Innovations":
         """The satellites that the mask `keep` (n,) selects."""
         return Innovations(*(column[keep] for column in self))
 
 
-class RateInnovations(NamedTuple):
-    """Doppler rates of n satellites that may be used, NaN where one may not: innovations and
-    variance (n,), and the ranges' geometry of the same satellites (n, 20)."""
-
-    rate_mps: Vector
-    variance: Vector
-    geometry: Vector
+def systems_in_use(geometry: Vector) -> Vector:
+    """The systems in use (n, systems) by a geometry (n, 20), 1 where a satellite is of one."""
+    offsets = geometry[:, ISB:]
+    systems = np.column_stack((1.0 - offsets.sum(axis=1), offsets))
+    return systems[:, systems.any(axis=0)]
 
 
 _NONE = np.empty(0)
 NO_INNOVATIONS = Innovations(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE, np.empty((0, ERROR_SIZE)))
-NO_RATES = RateInnovations(_NONE, _NONE, NO_INNOVATIONS.geometry)
 
 
 def observe_epoch(epoch: Epoch, selection: EphemerisSelection) -> EpochObservation | None:
@@ -157,51 +151,50 @@ def predict_innovations(
     exceeds that of broadcast ones.
     """
     states = observation.satellite_states
-    return innovations_kernel(observation.measurements, states, x, ionosphere, sigma.numbers)
+    return compare_with_prediction(observation.measurements, states, x, ionosphere, sigma)
 
 
-@compiled
-def transmitting_states(measurements: EpochMeasurements) -> Vector:
-    """Satellites (n, 9) when they sent the received signals, as `broadcast.satellite_states`."""
-    return satellite_states(
-        measurements.packed, measurements.week, measurements.tow_s, measurements.pseudorange_m
-    )
-
-
-@compiled
-def innovations_kernel(
+def compare_with_prediction(
     measurements: EpochMeasurements,
     states: Vector,
     x: Vector,
     ionosphere: Vector,
-    sigma: SigmaNumbers,
+    sigma: SigmaModel,
 ) -> Innovations:
-    """`predict_innovations` for kernels, with the satellites (n, 9) of `transmitting_states`."""
+    """`predict_innovations` with the satellites (n, 9) of `EpochObservation.satellite_states`."""
     predicted = predict_ranges(states, x[0:3], x[3:6], measurements.tow_s, ionosphere)
-    count, elevation = states.shape[0], predicted[:, ELEVATION].copy()
-    systems, packed = measurements.system, measurements.packed
-    range_m, rate_mps = measurements.pseudorange_m, measurements.doppler_mps
-    v, v_rate, rate_variance = np.empty(count), np.empty(count), np.empty(count)
-    variance = range_variance(elevation, measurements.cn0_dbhz, sigma)
-    h = np.zeros((count, ERROR_SIZE))
-    for i in range(count):
-        system = systems[i]
+    table, geometry = _innovations(measurements, predicted, x, sigma.numbers)
+    # Coefficients that were not broadcast err by more: as if there were more delay to model.
+    if len(ionosphere) > KLOBUCHAR_COEFFICIENTS:
+        table[5] *= ionosphere[KLOBUCHAR_COEFFICIENTS]
+    range_m, rate_mps, variance, rate_variance, elevation_rad, ionosphere_m = table
+    return Innovations(
+        range_m, rate_mps, variance, rate_variance, elevation_rad, ionosphere_m, geometry
+    )
+
+
+@compiled
+def _innovations(
+    measurements: EpochMeasurements, predicted: Vector, x: Vector, sigma: SigmaNumbers
+) -> tuple[Vector, Vector]:
+    """The columns of `Innovations` but the last (6, n), and the last (n, 20); `predicted` (n, 8) of
+    `broadcast.predict_ranges`."""
+    out, h = np.empty((6, predicted.shape[0])), np.zeros((predicted.shape[0], ERROR_SIZE))
+    for i in range(h.shape[0]):
+        system, elevation = measurements.system[i], predicted[i, ELEVATION]
         isb = x[X_ISB - 1 + system] if system > 0 else 0.0
-        v[i] = range_m[i] - predicted[i, RANGE] - x[X_CLOCK] - isb
-        v_rate[i] = rate_mps[i] - predicted[i, RATE] - x[X_DRIFT]
-        age_s = (measurements.week - packed[i, WEEK]) * WEEK_S + measurements.tow_s - packed[i, TOE]
+        week, toe = measurements.packed[i, WEEK], measurements.packed[i, TOE]
+        age_s = (measurements.week - week) * WEEK_S + measurements.tow_s - toe
         growth_m = EARLY_ERROR_M[system] if age_s < 0.0 else LATE_ERROR_M[system]
-        variance[i] *= sigma.systems[system] ** 2
-        variance[i] += (growth_m * (age_s / 3600.0) ** 2) ** 2
-        rate_variance[i] = sigma.rate_mps**2 / math.sin(max(elevation[i], 0.1))
+        white = range_variance(elevation, measurements.cn0_dbhz[i], sigma)
+        out[0, i] = measurements.pseudorange_m[i] - predicted[i, RANGE] - x[X_CLOCK] - isb
+        out[1, i] = measurements.doppler_mps[i] - predicted[i, RATE] - x[X_DRIFT]
+        out[2, i] = white * sigma.systems[system] ** 2 + (growth_m * (age_s / 3600.0) ** 2) ** 2
+        out[3, i] = sigma.rate_mps**2 / math.sin(max(elevation, 0.1))
+        out[4, i], out[5, i] = elevation, predicted[i, DELAY]
         for k in range(3):
             h[i, k] = -predicted[i, LINE_OF_SIGHT + k]
         h[i, CLOCK] = 1.0
         if system > 0:
             h[i, ISB - 1 + system] = 1.0
-    factor = 1.0
-    # Coefficients that were not broadcast err by more: as if there were more delay to model.
-    if ionosphere.shape[0] > KLOBUCHAR_COEFFICIENTS:
-        factor = ionosphere[KLOBUCHAR_COEFFICIENTS]
-    delay_m = factor * predicted[:, DELAY]
-    return Innovations(v, v_rate, variance, rate_variance, elevation, delay_m, h)
+    return out, h

@@ -52,8 +52,8 @@ class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
     def sigma_m(self, elevation_rad: Vector, cn0_dbhz: Vector) -> Vector:
         """One sigma (n,) of each pseudorange; C/N0 counts as 45 dBHz where it is unknown."""
-        result: Vector = np.sqrt(range_variance(elevation_rad, cn0_dbhz, self.numbers))
-        return result
+        pairs = zip(elevation_rad.tolist(), cn0_dbhz.tolist(), strict=True)
+        return np.sqrt([range_variance(*pair, self.numbers) for pair in pairs])
 
     @cached_property
     def numbers(self) -> SigmaNumbers:
@@ -70,13 +70,11 @@ class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
 
 
 @compiled
-def range_variance(elevation_rad: Vector, cn0_dbhz: Vector, sigma: SigmaNumbers) -> Vector:
-    """Variance (n,) of pseudoranges in m^2."""
-    out = np.empty(elevation_rad.shape[0])
-    for i in range(out.shape[0]):
-        # A negative C/N0 is no signal; it must not make the variance explode.
-        cn0 = max(cn0_dbhz[i], 0.0) if np.isfinite(cn0_dbhz[i]) else 45.0
-        sine = math.sin(max(elevation_rad[i], 0.05))
-        thermal = sigma.thermal_m**2 * 10.0 ** ((45.0 - cn0) / 10.0)
-        out[i] = sigma.scale**2 * (sigma.floor_m**2 + (sigma.zenith_m / sine) ** 2 + thermal)
-    return out
+def range_variance(elevation_rad: float, cn0_dbhz: float, sigma: SigmaNumbers) -> float:
+    """Variance of a pseudorange in m^2."""
+    # A negative C/N0 is no signal; it must not make the variance explode.
+    cn0 = max(cn0_dbhz, 0.0) if math.isfinite(cn0_dbhz) else 45.0
+    sine = math.sin(max(elevation_rad, 0.05))
+    thermal = sigma.thermal_m**2 * 10.0 ** ((45.0 - cn0) / 10.0)
+    variance: float = sigma.scale**2 * (sigma.floor_m**2 + (sigma.zenith_m / sine) ** 2 + thermal)
+    return variance

@@ -17,7 +17,8 @@ import numpy as np
 from analysis.detection.filter.covariance_release import free_position, free_system_clocks
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE
-from analysis.detection.filter.measurement import NO_INNOVATIONS, NO_RATES, Innovations
+from analysis.detection.filter.information import NO_RATES
+from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
 from analysis.detection.isolation.epoch_statistics import EpochStatistics
 from analysis.detection.isolation.range_test import RangeVerdict
 from analysis.detection.isolation.rate_test import RateVerdict

@@ -13,14 +13,11 @@ lead the filter away; `imu_or_satellites` then decides, at this epoch and the fo
 
 from typing import NamedTuple
 
-import numpy as np
-
-from analysis.detection.filter.information import NormalEquations, covariance_block, quadratic_form
+from analysis.detection.filter.information import NormalEquations, covariance_block
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.linear import invert_positive_definite, multiply_vector
+from mavproxy_fault.numerics.linear import invert_positive_definite
 
 SHIFT_DOF = 3
 SUSPECTED_US = 3_000_000  # how long a suspicion lasts: slow drags show within it
@@ -43,16 +40,12 @@ class CommonShift(NamedTuple):
     settled_from_us: int = 0
 
 
-@compiled
 def shift_statistic(p: Vector, rates: NormalEquations) -> float:
     """The statistic of the velocity that all rates share, before the covariance p (20, 20)."""
     cofactor = invert_positive_definite(rates.information)
-    off = multiply_vector(cofactor, rates.b)
-    total = cofactor + covariance_block(p, rates.states)
-    return quadratic_form(
-        off[:SHIFT_DOF].copy(),
-        invert_positive_definite(np.ascontiguousarray(total[:SHIFT_DOF, :SHIFT_DOF])),
-    )
+    off = (cofactor @ rates.b)[:SHIFT_DOF]
+    total = (cofactor + covariance_block(p, rates.states))[:SHIFT_DOF, :SHIFT_DOF].copy()
+    return float(off @ invert_positive_definite(total) @ off)
 
 
 def shift_stands_out(

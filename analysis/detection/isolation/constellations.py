@@ -11,11 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.statistics.bank import Indices, freed_statistic
+from analysis.detection.filter.measurement import systems_in_use
+from analysis.detection.statistics.bank import freed_statistic
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
 
 PENALTY = 2.0  # per freed parameter, as in Akaike's criterion
 SYSTEM_PENALTY = 6.0  # a system fails as a whole less often than one of its satellites
@@ -53,55 +53,23 @@ class Explanation(Value, frozen=True):
         return self.statistic <= self.threshold
 
 
-def group_by_system(line_of_sight: Vector, offsets: Vector) -> SystemGroups:
-    """The systems among n satellites, by what a shift of position (n, 3) and the systems' clock
-    offsets (n, k) do to their innovations; none where there is only one system."""
-    # Contiguous, since a kernel is compiled anew for each memory layout.
-    of, columns = _columns(np.ascontiguousarray(line_of_sight), np.ascontiguousarray(offsets))
-    if len(columns) < 2:
+def group_by_system(geometry: Vector) -> SystemGroups:
+    """The systems among n satellites by their ranges' geometry (n, 20); none where there is only
+    one system."""
+    systems = systems_in_use(geometry).T
+    if len(systems) < 2:
         return NO_SYSTEM_GROUPS
-    rows: list[list[int]] = [[] for _ in columns]
-    for place, kind in enumerate(of.tolist()):
-        rows[kind].append(place)
-    return SystemGroups(tuple(map(tuple, rows)), columns)
+    shift = np.column_stack((geometry[:, :3], np.ones(len(geometry))))
+    rows = tuple(tuple(row.nonzero()[0].tolist()) for row in systems)
+    return SystemGroups(rows, systems[:, :, None] * shift)
 
 
-@compiled
-def _columns(line_of_sight: Vector, offsets: Vector) -> tuple[Indices, Vector]:
-    """The system of each satellite (n,), numbered by those in use, and the columns of each."""
-    count, most = offsets.shape
-    system, seen = np.zeros(count, np.int64), np.zeros(most + 1, np.int64)
-    for i in range(count):
-        for k in range(most):
-            # The first system's satellites have no offset.
-            if offsets[i, k] != 0.0:
-                system[i] += k + 1
-        seen[system[i]] = 1
-    kinds = 0
-    for k in range(most + 1):
-        here = seen[k]
-        seen[k] = kinds
-        kinds += here
-    columns = np.zeros((kinds, count, 4))
-    for i in range(count):
-        system[i] = seen[system[i]]
-        for axis in range(3):
-            columns[system[i], i, axis] = line_of_sight[i, axis]
-        columns[system[i], i, 3] = 1.0
-    return system, columns
-
-
-@compiled
-def _freed_by_system(m: Vector, u: Vector, q: float, columns: Vector) -> Vector:
-    """The remaining statistics (systems, 2) with the clock of each system freed, and with its
-    position freed too."""
-    out = np.empty((columns.shape[0], 2))
-    for k in range(columns.shape[0]):
-        out[k, 0] = freed_statistic(m, u, q, np.ascontiguousarray(columns[k, :, 3:]))
-        out[k, 1] = freed_statistic(m, u, q, np.ascontiguousarray(columns[k]))
-        if out[k, 1] == q:  # a snapshot has solved for the clocks already
-            out[k, 1] = freed_statistic(m, u, q, np.ascontiguousarray(columns[k, :, :3]))
-    return out
+def _freed_by_system(m: Vector, u: Vector, q: float, columns: Vector) -> tuple[float, float]:
+    """The remaining statistics with the clock of a system freed, and with its position too;
+    `columns` (n, 4) are the shift's."""
+    clock, shifted = (freed_statistic(m, u, q, g) for g in (columns[:, 3:], columns))
+    # A snapshot has solved for the clocks already.
+    return clock, freed_statistic(m, u, q, columns[:, :3]) if shifted == q else shifted
 
 
 def explain_by_systems(
@@ -109,9 +77,8 @@ def explain_by_systems(
 ) -> list[Explanation]:
     """Each system shifted as a whole, or its clock alone; `m`, `u` and `q` as for satellites."""
     explanations = []
-    remaining = _freed_by_system(m, u, q, systems.columns).tolist() if systems.rows else []
-    for rows, lefts in zip(systems.rows, remaining, strict=True):
-        clock_left = np.inf
+    for rows, columns in zip(systems.rows, systems.columns, strict=True):
+        lefts, clock_left = _freed_by_system(m, u, q, columns), np.inf
         for (size, least, hypothesis), left in zip(FREED_PARAMETERS, lefts, strict=True):
             # A shift must explain what a clock fault does not.
             if len(rows) < least or clock_left - left < SHIFT_GAIN:
@@ -132,7 +99,7 @@ def explain_by_small_systems(
     for rows in systems.rows:
         size = len(rows)
         if size < LEAST_MOVED:
-            left = freed_statistic(m, u, q, np.ascontiguousarray(each[:, list(rows)]))
+            left = freed_statistic(m, u, q, each[:, list(rows)])
             threshold = chi_square_threshold(max(len(u) - size, 1), p_false_alarm)
             cost = left + PENALTY * size + SYSTEM_PENALTY
             explanations.append(Explanation("satellites", rows, left, threshold, cost))

@@ -1,19 +1,17 @@
 """Which satellites stay excluded, and when they are readmitted."""
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.inertial import CLOCK
+from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE, X_CLOCK
 from analysis.detection.filter.lasting_errors import lasting_variance
 from analysis.detection.filter.measurement import Innovations
 from analysis.detection.isolation.isolation_config import IsolationConfig
 from analysis.detection.statistics.chi_square import two_sided_bound
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
 
 RETURNED_SHARE = 0.75  # of a system's satellites that look healthy once it is: some are noisy
 # A range error that is the same for so long, and this small, is multipath of a healthy satellite;
@@ -68,34 +66,14 @@ def innovations_of_excluded(
     them; those given are against the filter `before`."""
     if not names:
         return NONE_EXCLUDED
-    table = _excluded_innovations(innovations, before.x, after.x, after.p)
-    return ExcludedInnovations(names, table[0], table[1], table[2])
-
-
-@compiled
-def _excluded_innovations(
-    innovations: Innovations, before: Vector, after: Vector, p: Vector
-) -> Vector:
-    """Innovations (3, n) at the state `after` with covariance p: in m, and over their sigma without
-    and with lasting errors. Those given are at the state `before`."""
-    v, h, lasts = innovations.range_m, innovations.geometry, lasting_variance(innovations, 1.0)
-    moved = np.zeros(h.shape[1])
+    h, moved = innovations.geometry, np.zeros(ERROR_SIZE)
     # Attitude and biases lie in between; a range does not observe them.
-    for i in range(3):
-        moved[i] = after[i] - before[i]
-    # The state has one number more than the error before the clock: the quaternion's fourth.
-    for i in range(CLOCK, h.shape[1]):
-        moved[i] = after[i + 1] - before[i + 1]
-    out = np.empty((3, v.shape[0]))
-    for i in range(v.shape[0]):
-        remaining, total = v[i], innovations.variance[i]
-        for j in range(h.shape[1]):
-            remaining -= h[i, j] * moved[j]
-            for k in range(h.shape[1]):
-                total += h[i, j] * p[j, k] * h[i, k]
-        out[0, i], out[1, i] = remaining, remaining / math.sqrt(total)
-        out[2, i] = remaining / math.sqrt(total + lasts[i])
-    return out
+    moved[:3] = after.x[:3] - before.x[:3]
+    moved[CLOCK:] = after.x[X_CLOCK:] - before.x[X_CLOCK:]
+    range_m = innovations.range_m - h @ moved
+    variance = innovations.variance + ((h @ after.p) * h).sum(axis=1)
+    lasting = range_m / np.sqrt(variance + lasting_variance(innovations, 1.0))
+    return ExcludedInnovations(names, range_m, range_m / np.sqrt(variance), lasting)
 
 
 def add_exclusions(

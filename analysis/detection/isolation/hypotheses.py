@@ -26,7 +26,6 @@ from analysis.detection.statistics.bank import best_subset, freed_statistic
 from analysis.detection.statistics.chi_square import chi_square_threshold, subset_threshold
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.linear import multiply_vector
 
 ISOLATION_RULES = ("explicit", "plain")
 LEAST_DOF_LEFT = 2  # after leaving out: with one, too many wrong sets pass
@@ -106,7 +105,7 @@ def select_hypothesis(
     rule : {"explicit", "plain"}
     systems : the satellites of each system, where there are two at least
     """
-    u = multiply_vector(m, v)
+    u = m @ v
     q = float(v @ u)
     satellites = explain_by_satellites(m, u, q, p_false_alarm, largest)
     # The older rule, for comparison: it never considers the clock.

@@ -10,7 +10,7 @@ from analysis.detection.isolation.ramp_windows import (
     WINDOW_COUNT,
     RampWindows,
     StrongestRamp,
-    ramp_statistics,
+    ramp_ratio,
 )
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.values import Value
@@ -38,12 +38,11 @@ class RampBank(Value, frozen=True):
     def without_accelerations(self) -> "RampBank":
         """The windows without their acceleration sums: for a filter without an IMU the vehicle's
         own acceleration is an error, for one that the IMU propagates it is not."""
-        d, sums = self.windows.d.copy(), self.windows.sums.copy()
+        d = self.windows.d.copy()
         # The last three responses of each window are those of accelerations.
-        d.reshape(ERROR_SIZE, WINDOW_COUNT, -1)[:, :, -3:] = 0.0
-        # c (3,) and J (3, 3) of the accelerations.
-        sums[:, -12:] = 0.0
-        return self._replace(windows=self.windows._replace(d=d, sums=sums))
+        d[:, :, -3:] = 0.0
+        c, j = np.zeros_like(self.windows.c), np.zeros_like(self.windows.j)
+        return self._replace(windows=self.windows._replace(d=d, c=c, j=j))
 
 
 class RampVerdict(Value, frozen=True):
@@ -58,10 +57,13 @@ class RampVerdict(Value, frozen=True):
 
 def new_ramps(t_us: int) -> RampBank:
     """Windows that start one after the other, the first when the filter has settled."""
-    none, table = np.empty(0), np.empty((WINDOW_COUNT, 0))
-    d, sums = np.zeros((ERROR_SIZE, 3 * WINDOW_COUNT)), np.zeros((WINDOW_COUNT, 12))
-    starts_us = np.zeros(WINDOW_COUNT, dtype=np.int64)
-    return RampBank(t_us + STRIDE_US, (), RampWindows(starts_us, d, sums, none, none, table, table))
+    none, table, w = np.empty(0), np.empty((WINDOW_COUNT, 0)), WINDOW_COUNT
+    d, sums, c, j = (
+        np.zeros(shape) for shape in ((ERROR_SIZE, w, 3), (5, w, 0), (w, 3), (w, 3, 3))
+    )
+    starts_us = np.zeros(w, dtype=np.int64)
+    windows = RampWindows(starts_us, d, sums, c, j, none, none, table, table)
+    return RampBank(t_us + STRIDE_US, (), windows)
 
 
 def prepare_ramps(
@@ -82,38 +84,34 @@ def prepare_ramps(
 
 def _rearranged(ramps: RampBank, names: tuple[str, ...], most: Vector) -> RampWindows:
     """The windows over `names`; new satellites start from zero, with the variances `most`."""
-    before, old, new = ramps.windows, len(ramps.names), len(names)
-    d = np.zeros((ERROR_SIZE, WINDOW_COUNT, new + 3))
-    d_before = before.d.reshape(ERROR_SIZE, -1, old + 3)
-    sums = np.zeros((WINDOW_COUNT, 5 * new + 12))
+    before, new = ramps.windows, len(names)
+    place = {name: i for i, name in enumerate(ramps.names)}
+    to = [i for i, name in enumerate(names) if name in place]
+    at = [place[names[i]] for i in to]
+    d, sums = np.zeros((ERROR_SIZE, WINDOW_COUNT, new + 3)), np.zeros((5, WINDOW_COUNT, new))
     offset, spread = np.zeros(new), most.copy()
     offsets, spreads = np.zeros((WINDOW_COUNT, new)), np.tile(most, (WINDOW_COUNT, 1))
-    d[:, :, new:] = d_before[:, :, old:]
-    sums[:, 5 * new :] = before.sums[:, 5 * old :]
-    place = {name: i for i, name in enumerate(ramps.names)}
-    for i, name in enumerate(names):
-        at = place.get(name)
-        # A satellite that was not used at the last epoch starts from zero.
-        if at is not None:
-            d[:, :, i] = d_before[:, :, at]
-            sums[:, i : 5 * new : new] = before.sums[:, at : 5 * old : old]
-            offset[i], spread[i] = before.offset[at], before.spread[at]
-            offsets[:, i], spreads[:, i] = before.offsets[:, at], before.spreads[:, at]
-    flat = d.reshape(ERROR_SIZE, -1)
-    return RampWindows(before.starts_us, flat, sums, offset, spread, offsets, spreads)
+    d[:, :, new:], d[:, :, to] = before.d[:, :, -3:], before.d[:, :, at]
+    sums[:, :, to] = before.sums[:, :, at]
+    offset[to], spread[to] = before.offset[at], before.spread[at]
+    offsets[:, to], spreads[:, to] = before.offsets[:, at], before.spreads[:, at]
+    return before._replace(
+        d=d, sums=sums, offset=offset, spread=spread, offsets=offsets, spreads=spreads
+    )
 
 
 def _renewed(windows: RampWindows, t_us: int) -> RampWindows:
     """The windows with the oldest restarted."""
-    # A window that has not started has stamp 0, so it is the oldest.
-    oldest, each = int(windows.starts_us.argmin()), len(windows.offset) + 3
     starts_us, d, sums = windows.starts_us.copy(), windows.d.copy(), windows.sums.copy()
+    c, j = windows.c.copy(), windows.j.copy()
     offsets, spreads = windows.offsets.copy(), windows.spreads.copy()
+    # A window that has not started has stamp 0, so it is the oldest.
+    oldest = int(starts_us.argmin())
     starts_us[oldest] = t_us
-    d[:, oldest * each : (oldest + 1) * each] = 0.0
-    sums[oldest] = 0.0
+    d[:, oldest] = sums[:, oldest] = c[oldest] = j[oldest] = 0.0
     offsets[oldest], spreads[oldest] = windows.offset, windows.spread
-    return RampWindows(starts_us, d, sums, windows.offset, windows.spread, offsets, spreads)
+    now = windows.offset, windows.spread, offsets, spreads
+    return RampWindows(starts_us, d, sums, c, j, *now)
 
 
 def evaluate_ramps(
@@ -139,10 +137,9 @@ def ramp_onset_us(ramps: RampBank | None, name: str, t_us: int, config: Isolatio
     """Since when a satellite isolated at `t_us` has been faulty, by the windows."""
     if ramps is None or name not in ramps.names:
         return t_us
-    windows = ramps.windows
-    table = ramp_statistics(windows.sums, windows.spreads, config.ramp_numbers.slope)
-    ratios = table[:, ramps.names.index(name)]
-    window = int(ratios.argmax())
+    windows, i, slope = ramps.windows, ramps.names.index(name), config.ramp_numbers.slope
+    ratios = [ramp_ratio(windows, w, i, slope) for w in range(WINDOW_COUNT)]
+    window = ratios.index(max(ratios))
     start_us = int(windows.starts_us[window])
     # Without a ramp in any window the fault starts when it was found.
     return start_us if start_us and ratios[window] >= ONSET_RATIO else t_us

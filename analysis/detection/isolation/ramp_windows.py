@@ -36,13 +36,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.filter.inertial import V
-from analysis.detection.filter.information import Indices, NormalEquations, row_quadratic_form
+from analysis.detection.filter.epoch_update import EpochUpdate
+from analysis.detection.filter.inertial import R, V
+from analysis.detection.filter.information import Indices, NormalEquations, covariance_block
 from analysis.detection.filter.lasting_errors import INDEPENDENT_AFTER_S
 from analysis.detection.statistics.bank import cholesky_reduction
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.linear import add_product, multiply_matrices, multiply_vector
+from mavproxy_fault.numerics.compile import compiled
 
 WINDOW_COUNT = 4
 STRIDE_S = 5.0  # four windows look back 15 to 20 s
@@ -65,16 +65,18 @@ class RampNumbers(NamedTuple):
 class RampWindows(NamedTuple):
     """w windows of the ramp tests over n satellites.
 
-    `starts_us` (w,) is when each began (0: not yet); `d` (20, w s) are the responses of the state
-    in each to s = n + 3 signatures, ramps of n satellites, then accelerations along x, y, z; `sums`
-    (w, 5 n + 12) are c_r, c_o, J_rr, J_ro, J_oo, then c and J (3, 3) of the accelerations. `offset`
-    and `spread` (n,) are mean and variance of each satellite's offset now, `offsets` and `spreads`
-    (w, n) the same when a window began.
+    `starts_us` (w,) is when each began (0: not yet); `d` (20, w, n + 3) are the responses of the
+    state in each to ramps of n satellites, then to accelerations along x, y, z. `sums` (5, w, n)
+    are c_r, c_o, J_rr, J_ro, J_oo of the ramps, `c` (w, 3) and `j` (w, 3, 3) those of the
+    accelerations. `offset` and `spread` (n,) are mean and variance of each satellite's offset now,
+    `offsets` and `spreads` (w, n) the same when a window began.
     """
 
     starts_us: Indices
     d: Vector
     sums: Vector
+    c: Vector
+    j: Vector
     offset: Vector
     spread: Vector
     offsets: Vector
@@ -91,175 +93,115 @@ class StrongestRamp(NamedTuple):
     rival: float
 
 
-class WindowResponse(NamedTuple):
-    """Over the c observed states: D_c, gamma, and D_c + P+_c gamma (c, w s)."""
+class EpochStep(NamedTuple):
+    """From the last epoch to this one: the transition (20, 20) of errors, the time between them,
+    the stamp, and whether the IMU propagated the filter."""
 
-    seen: Vector
-    gamma: Vector
-    whole: Vector
+    transition: Vector
+    dt_s: float
+    t_us: int
+    inertial: bool
 
 
-class WindowInnovations(NamedTuple):
-    """Innovations less a window's offsets: over their variance (n,), b (c,) and P+_c b (c,)."""
+def update_windows(
+    windows: RampWindows, p: Vector, update: EpochUpdate, step: EpochStep, numbers: RampNumbers
+) -> tuple[RampWindows, StrongestRamp]:
+    """The windows after the filter's update from the covariance p (20, 20), and the strongest ramp
+    that they show now."""
+    ages_s = np.where(windows.starts_us != 0, (step.t_us - windows.starts_us) * 1e-6, 0.0)
+    prior = covariance_block(p, update.ranges.states)
+    offset, spread = learn_offsets(windows, prior, update.ranges, step.dt_s, numbers)
+    windows = propagate_windows(windows, step.transition, step.dt_s)
+    respond(windows, ages_s, update.ranges, update.after_ranges, True)
+    respond(windows, ages_s, update.rates, update.after_rates, False)
+    windows = windows._replace(offset=offset, spread=spread)
+    strongest = strongest_ramp(windows, ages_s, step.inertial, numbers)
+    return windows, StrongestRamp(*strongest)
 
-    weighted: Vector
-    b: Vector
-    moved: Vector
+
+def propagate_windows(windows: RampWindows, transition: Vector, dt_s: float) -> RampWindows:
+    """Every window, as new arrays, after the transition (20, 20) over `dt_s`."""
+    d = (transition @ windows.d.reshape(len(transition), -1)).reshape(windows.d.shape)
+    for axis in range(3):
+        # Half a t^2 of position and t of velocity per second of acceleration.
+        d[R + axis, :, axis - 3] += 0.5 * dt_s**2
+        d[V + axis, :, axis - 3] += dt_s
+    c, j = windows.c.copy(), windows.j.copy()
+    return windows._replace(d=d, sums=windows.sums.copy(), c=c, j=j)
 
 
 @compiled
-def respond_to_ranges(
-    windows: RampWindows,
-    ages: Vector,
-    phi: Vector,
-    after: Vector,
-    ranges: NormalEquations,
-    dt_s: float,
-) -> tuple[Vector, Vector]:
-    """Add one epoch of ranges to every window: d and sums after it, as new arrays.
+def respond(
+    windows: RampWindows, ages_s: Vector, used: NormalEquations, after: Vector, ramps: bool
+) -> None:
+    """Add one epoch to every window, in place.
 
-    `ages` (w,) are seconds since each window's start, phi (20, 20) the transition since the last
-    epoch, `dt_s` ago, and `after` (20, c) the columns of the observed states of the covariance
-    after this one.
+    `ages_s` (w,) are the times since each window's start, `after` (20, c) the columns of the
+    observed states of the covariance after the n ranges, if `ramps`, or rates that were `used`: no
+    fault of a range affects a rate.
     """
-    count = windows.offsets.shape[1]
-    each = count + 3
-    d = multiply_matrices(phi, windows.d)
-    for w in range(ages.shape[0]):
-        for axis in range(3):
-            at = w * each + count + axis
-            # Half a t^2 of position and t of velocity per second of acceleration.
-            d[axis, at] += 0.5 * dt_s * dt_s
-            d[V + axis, at] += dt_s
-    sums, known = windows.sums.copy(), _rows(after, ranges.states)
-    seen, gamma = _seen(d, ranges)
-    a, variances, own = ranges.a, ranges.variance, np.empty(count)
-    for i in range(count):
-        variance = variances[i]
-        own[i] = (1.0 - row_quadratic_form(a, i, known) / variance) / variance
-        for k in range(gamma.shape[0]):
-            share = a[i, k] / variance
-            for w in range(ages.shape[0]):
-                gamma[k, w * each + i] += share * ages[w]
-    response = WindowResponse(seen, gamma, _whole(seen, gamma, known))
-    for w in range(ages.shape[0]):
-        for i in range(count):
-            # J_oo: an epoch adds the same to every window, but each sums since its own start.
-            sums[w, 4 * count + i] += own[i]
-        news = _window_innovations(windows.offsets[w], ranges, known)
-        first = w * each
-        _add_ramps(sums[w], response, first, ranges, ages[w], news)
-        _add_accelerations(sums[w], response, first + count, news.b, news.moved)
-    # The response follows the update as the state does, after the sums were formed with it.
-    add_product(d, 1.0, after, gamma)
-    return d, sums
+    d, sums, count = windows.d, windows.sums, windows.sums.shape[2] if ramps else 0
+    each, size, states = d.shape[2], used.b.shape[0], used.states
+    first = each - 3  # of the accelerations
+    seen, gamma, whole = np.empty(size), np.empty((each, size)), np.empty((each, size))
+    for w in range(ages_s.shape[0]):
+        b, moved = _without_offsets(used, after, windows.offsets[w, :count])
+        for s in range(each):
+            lost = 0.0
+            for k in range(size):
+                seen[k] = d[states[k], w, s]
+            for k in range(size):
+                gamma[s, k] = used.a[s, k] * ages_s[w] / used.variance[s] if s < count else 0.0
+                for m in range(size):
+                    gamma[s, k] -= used.information[k, m] * seen[m]
+                lost += seen[k] * b[k] + gamma[s, k] * moved[k]
+            for k in range(size):
+                whole[s, k] = seen[k]
+                for m in range(size):
+                    whole[s, k] += after[states[k], m] * gamma[s, m]
+            # The response follows the update as the state does.
+            for row in range(d.shape[0]):
+                for k in range(size):
+                    d[row, w, s] += after[row, k] * gamma[s, k]
+            if s >= first:
+                windows.c[w, s - first] -= lost
+            if s < count:
+                age, variance, cross = ages_s[w], used.variance[s], 0.0
+                followed = mixed = shift = known = 0.0
+                for k in range(size):
+                    followed += used.a[s, k] * seen[k]
+                    mixed += used.a[s, k] * whole[s, k]
+                    shift += used.a[s, k] * moved[k]
+                    cross += gamma[s, k] * whole[s, k]
+                    for m in range(size):
+                        known += used.a[s, k] * after[states[k], m] * used.a[s, m]
+                news = used.v[s] - windows.offsets[w, s]
+                sums[0, w, s] += age * news / variance - lost
+                sums[1, w, s] += (news - shift) / variance
+                sums[2, w, s] += age * (age - followed) / variance - cross
+                sums[3, w, s] += (age - mixed) / variance
+                sums[4, w, s] += (1.0 - known / variance) / variance
+        for k in range(size):
+            for i in range(3):
+                for j in range(3):
+                    windows.j[w, i, j] -= whole[first + i, k] * gamma[first + j, k]
 
 
-@inlined
-def _window_innovations(
-    offsets: Vector, ranges: NormalEquations, known: Vector
-) -> WindowInnovations:
-    """The ranges less the offsets (n,) of a window; `known` (c, c) is P+_c."""
-    weighted, b = np.empty(offsets.shape[0]), np.zeros(known.shape[0])
-    a, v, variance = ranges.a, ranges.v, ranges.variance
-    for i in range(weighted.shape[0]):
-        weighted[i] = (v[i] - offsets[i]) / variance[i]
-        for k in range(b.shape[0]):
-            b[k] += a[i, k] * weighted[i]
-    return WindowInnovations(weighted, b, multiply_vector(known, b))
-
-
-@inlined
-def _rows(m: Vector, which: Indices) -> Vector:
-    """The rows `which` of a matrix."""
-    out = np.empty((which.shape[0], m.shape[1]))
-    for i in range(which.shape[0]):
-        for j in range(m.shape[1]):
-            out[i, j] = m[which[i], j]
-    return out
-
-
-@inlined
-def _seen(d: Vector, normal: NormalEquations) -> tuple[Vector, Vector]:
-    """D_c and -N D_c (c, w s)."""
-    seen = _rows(d, normal.states)
-    gamma = np.zeros_like(seen)
-    add_product(gamma, -1.0, normal.information, seen)
-    return seen, gamma
-
-
-@inlined
-def _whole(seen: Vector, gamma: Vector, known: Vector) -> Vector:
-    """D_c + P+_c gamma (c, w s)."""
-    whole = multiply_matrices(known, gamma)
-    for k in range(seen.shape[0]):
-        for j in range(seen.shape[1]):
-            whole[k, j] += seen[k, j]
-    return whole
-
-
-@inlined
-def _add_ramps(
-    row: Vector,
-    response: WindowResponse,
-    first: int,
-    ranges: NormalEquations,
-    age_s: float,
-    news: WindowInnovations,
-) -> None:
-    """Add an epoch to a window's sums of ramps and c_o, in place; its ramps are the columns from
-    `first`."""
-    weighted, b, moved = news
-    seen, gamma, whole = response
-    a, variances, count = ranges.a, ranges.variance, weighted.shape[0]
-    for i in range(count):
-        followed = mixed = cross = known = offset = 0.0
-        for k in range(b.shape[0]):
-            response_k, own, both = seen[k, first + i], gamma[k, first + i], whole[k, first + i]
-            followed += a[i, k] * response_k
-            mixed += a[i, k] * both
-            cross += own * both
-            known += response_k * b[k] + own * moved[k]
-            offset += a[i, k] * moved[k]
-        variance = variances[i]
-        row[i] += age_s * weighted[i] - known
-        row[count + i] += weighted[i] - offset / variance
-        row[2 * count + i] += age_s * (age_s - followed) / variance - cross
-        row[3 * count + i] += (age_s - mixed) / variance
-
-
-@inlined
-def _add_accelerations(
-    row: Vector, response: WindowResponse, first: int, b: Vector, moved: Vector
-) -> None:
-    """Add to c and J of the accelerations, the last 12 of `row`, in place; theirs are the columns
-    from `first`, `moved` is P+_c b."""
-    to = row.shape[0] - 12
-    seen, gamma, whole = response
+@compiled
+def _without_offsets(
+    used: NormalEquations, after: Vector, offsets: Vector
+) -> tuple[Vector, Vector]:
+    """b and P+_c b (c,) of measurements less the offsets (n,) of a window."""
+    b, moved = used.b.copy(), np.zeros(used.b.shape[0])
     for k in range(b.shape[0]):
-        for i in range(3):
-            row[to + i] -= seen[k, first + i] * b[k] + gamma[k, first + i] * moved[k]
-            for j in range(3):
-                row[to + 3 + 3 * i + j] -= whole[k, first + i] * gamma[k, first + j]
+        for i in range(offsets.shape[0]):
+            b[k] -= used.a[i, k] * offsets[i] / used.variance[i]
+    for k in range(b.shape[0]):
+        for m in range(b.shape[0]):
+            moved[k] += after[used.states[k], m] * b[m]
+    return b, moved
 
 
-@compiled
-def respond_to_rates(d: Vector, sums: Vector, after: Vector, rates: NormalEquations) -> None:
-    """Add one epoch of Doppler rates, which no fault of a range affects: accelerations alone. d
-    (20, w s) and sums (w, 5 n + 12) change in place; `after` (20, c) as for ranges."""
-    count = (sums.shape[1] - 12) // 5
-    known = _rows(after, rates.states)
-    seen, gamma = _seen(d, rates)
-    response, moved = (
-        WindowResponse(seen, gamma, _whole(seen, gamma, known)),
-        multiply_vector(known, rates.b),
-    )
-    for w in range(sums.shape[0]):
-        _add_accelerations(sums[w], response, w * (count + 3) + count, rates.b, moved)
-    add_product(d, 1.0, after, gamma)
-
-
-@compiled
 def learn_offsets(
     windows: RampWindows, prior: Vector, ranges: NormalEquations, dt_s: float, numbers: RampNumbers
 ) -> tuple[Vector, Vector]:
@@ -269,88 +211,59 @@ def learn_offsets(
     last one counts min(dt_s / 1 s, 1) of an independent one.
     """
     stays, news = math.exp(-dt_s / numbers.offset_s), min(dt_s / INDEPENDENT_AFTER_S, 1.0)
-    mean, spread = windows.offset.copy(), windows.spread.copy()
-    a, v, variance = ranges.a, ranges.v, ranges.variance
-    for i in range(mean.shape[0]):
-        mean[i] *= stays
-        # The process noise of a first-order Gauss-Markov process of that variance.
-        fresh = (1.0 - stays * stays) * numbers.offset_share * variance[i]
-        spread[i] = stays * stays * spread[i] + fresh
-        s = variance[i] + row_quadratic_form(a, i, prior)
-        gain = spread[i] / (spread[i] + s / news)
-        mean[i] += gain * (v[i] - mean[i])
-        spread[i] *= 1.0 - gain
-    return mean, spread
+    a, variance, mean = ranges.a, ranges.variance, stays * windows.offset
+    # The process noise of a first-order Gauss-Markov process of that variance.
+    fresh = (1.0 - stays * stays) * numbers.offset_share * variance
+    spread = stays * stays * windows.spread + fresh
+    s = variance + ((a @ prior) * a).sum(axis=1)
+    gain = spread / (spread + s / news)
+    return mean + gain * (ranges.v - mean), spread * (1.0 - gain)
 
 
 @compiled
 def strongest_ramp(
-    windows: RampWindows, ages: Vector, inertial: bool, numbers: RampNumbers
-) -> StrongestRamp:
-    """The largest ratio of a ramp, and the largest of the rival, an acceleration error, where an
-    IMU is used; `ages` (w,) in s."""
+    windows: RampWindows, ages_s: Vector, inertial: bool, numbers: RampNumbers
+) -> tuple[float, int, int, float]:
+    """The largest ratio of a ramp, its window and satellite, and the largest ratio of the rival, an
+    acceleration error, where an IMU is used; `ages_s` (w,)."""
     best, window, satellite, rival = 0.0, -1, -1, 0.0
-    ramps = ramp_statistics(windows.sums, windows.spreads, numbers.slope)
-    wrong = np.zeros(ages.shape[0])
-    if inertial:
-        wrong = acceleration_statistics(windows.sums, numbers.acceleration)
-    for w in range(ages.shape[0]):
-        if ages[w] >= YOUNGEST_S:
-            rival = max(rival, wrong[w])
-            for j in range(ramps.shape[1]):
-                # `satellite < 0`: the first window that is old enough counts even with a ratio of
-                # zero.
-                if ramps[w, j] > best or satellite < 0:
-                    best, window, satellite = ramps[w, j], w, j
-    return StrongestRamp(best, window, satellite, rival)
+    for w in range(ages_s.shape[0]):
+        if ages_s[w] >= YOUNGEST_S:
+            for i in range(windows.offset.shape[0]):
+                ratio = ramp_ratio(windows, w, i, numbers.slope)
+                # The first window that is old enough counts even with a ratio of zero.
+                if ratio > best or satellite < 0:
+                    best, window, satellite = ratio, w, i
+            if inertial:
+                rival = max(rival, _acceleration_ratio(windows, w, numbers.acceleration))
+    return best, window, satellite, rival
 
 
 @compiled
-def ramp_statistics(sums: Vector, spread: Vector, slope: float) -> Vector:
-    """Likelihood ratios (w, n) of a ramp on each satellite.
-
-    `spread` (w, n) is the variance of the unknown part of a healthy satellite's offset, `slope`
-    that of its natural rate of change.
-    """
-    windows, count = spread.shape
-    out = np.zeros((windows, count))
-    for w in range(windows):
-        for j in range(count):
-            c, info = sums[w, j], sums[w, 2 * count + j]
-            # No spread: the offset is known exactly and takes nothing off.
-            if spread[w, j] > 0.0:
-                shared = sums[w, 3 * count + j] / (sums[w, 4 * count + j] + 1.0 / spread[w, j])
-                c -= shared * sums[w, count + j]
-                info -= shared * sums[w, 3 * count + j]
-            # A window without information has no ratio.
-            if info > 1e-9:
-                out[w, j] = c * c / (info * (1.0 + slope * info))
-    return out
+def ramp_ratio(windows: RampWindows, w: int, i: int, slope: float) -> float:
+    """The likelihood ratio of a ramp on satellite i in window w; `slope` is the variance of a
+    healthy satellite's natural rate of change."""
+    sums, spread = windows.sums, windows.spreads[w, i]
+    # Without a spread the offset is known exactly and takes nothing off.
+    shared = sums[3, w, i] * spread / (sums[4, w, i] * spread + 1.0)
+    c = sums[0, w, i] - shared * sums[1, w, i]
+    information = sums[2, w, i] - shared * sums[3, w, i]
+    # A window without information has no ratio.
+    return c * c / (information * (1.0 + slope * information)) if information > 1e-9 else 0.0
 
 
 @compiled
-def acceleration_statistics(sums: Vector, prior: float) -> Vector:
-    """Likelihood ratios (w,) of a constant acceleration error, three components.
-
-    `prior` is the variance of a healthy IMU's error beyond its noise model.
-    """
-    count = (sums.shape[1] - 12) // 5
-    out = np.zeros(sums.shape[0])
-    c, info, covariance = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
-    for w in range(sums.shape[0]):
-        for a in range(3):
-            c[a] = sums[w, 5 * count + a]
-            for b in range(3):
-                info[a, b] = sums[w, 5 * count + 3 + 3 * a + b]
-        for a in range(3):
-            for b in range(3):
-                # info^2: the prior's share of J, as k J^2 of a ramp.
-                squared = (
-                    info[a, 0] * info[0, b] + info[a, 1] * info[1, b] + info[a, 2] * info[2, b]
-                )
-                covariance[a, b] = info[a, b] + prior * squared
-            # Keeps the matrix invertible along an axis without information.
-            covariance[a, a] += 1e-9
-        if info[0, 0] + info[1, 1] + info[2, 2] > 1e-6:
-            out[w] = max(cholesky_reduction(covariance, c), 0.0)
-    return out
+def _acceleration_ratio(windows: RampWindows, w: int, prior: float) -> float:
+    """The likelihood ratio of a constant acceleration error in window w; `prior` is the variance of
+    a healthy IMU's error beyond its noise model."""
+    j, covariance = windows.j[w], np.empty((3, 3))
+    for a in range(3):
+        for b in range(3):
+            # J^2: the prior's share of J, as k J^2 of a ramp.
+            squared = j[a, 0] * j[0, b] + j[a, 1] * j[1, b] + j[a, 2] * j[2, b]
+            covariance[a, b] = j[a, b] + prior * squared
+        # Keeps the matrix invertible along an axis without information.
+        covariance[a, a] += 1e-9
+    if j[0, 0] + j[1, 1] + j[2, 2] <= 1e-6:
+        return 0.0
+    return max(cholesky_reduction(covariance, windows.c[w].copy()), 0.0)

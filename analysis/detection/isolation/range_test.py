@@ -9,8 +9,12 @@ from analysis.detection.filter.covariance_release import (
     free_system_clocks,
 )
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE, ISB
-from analysis.detection.filter.information import innovation_statistic, inverse_covariance
+from analysis.detection.filter.inertial import CLOCK
+from analysis.detection.filter.information import (
+    innovation_statistic,
+    inverse_covariance,
+    normal_equations,
+)
 from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
 from analysis.detection.isolation.constellations import SYSTEM_CLOCK, group_by_system
 from analysis.detection.isolation.epoch_statistics import EpochStatistics
@@ -65,9 +69,7 @@ def run_range_test(
     freed, q = free_by_rates(motion, by_rates), statistics.q
     if freed is not motion:
         # The statistic is computed again only where the covariance changed.
-        q = innovation_statistic(
-            freed.p, innovations.geometry, innovations.variance, innovations.range_m
-        )
+        q = innovation_statistic(freed.p, statistics.ranges)
     threshold = chi_square_threshold(len(innovations.range_m), config.p_false_alarm)
     if q <= threshold:
         return RangeVerdict(freed, "none", False, (), q, threshold, {}, innovations, False)
@@ -134,17 +136,14 @@ def _explain(
     hypothesis = "none"
     probabilities: dict[str, float] = {}
     largest = largest_subset(len(innovations.range_m), config.left_out)
-    # Contiguous, since a kernel is compiled anew for each memory layout.
-    position = np.ascontiguousarray(innovations.geometry[:, 0:3])
-    clock = np.ascontiguousarray(innovations.geometry[:, CLOCK : CLOCK + 1])
-    systems = group_by_system(position, innovations.geometry[:, ISB:ERROR_SIZE])
-    whole = False
-    h, variance, v = innovations.geometry, innovations.variance, innovations.range_m
+    h, v = innovations.geometry, innovations.range_m
+    position, clock, systems, whole = h[:, :3], h[:, CLOCK : CLOCK + 1], group_by_system(h), False
+    normal = normal_equations(h, innovations.variance, v)
     for number in range(MOST_ROUNDS):
         forced = by_past and number == 0
-        if not forced and innovation_statistic(motion.p, h, variance, v) <= threshold:
+        if not forced and innovation_statistic(motion.p, normal) <= threshold:
             return hypothesis, IsolationVerdict("none", (), probabilities, whole), motion
-        m = inverse_covariance(motion.p, h, variance)
+        m = inverse_covariance(motion.p, normal)
         p = config.p_false_alarm
         verdict = select_hypothesis(m, v, position, clock, p, largest, config.rule, systems)
         whole = whole or verdict.whole_system

@@ -255,8 +255,7 @@ def _ratios(carry: CarryOffWindows, windows: Indices, part: slice, natural: floa
 
 def remove_carry_off(motion: MotionEstimate, detection: CarryOffDetection) -> MotionEstimate:
     """The filter as if the receiver had not been used since its carry-off began."""
-    x = motion.x.copy()
-    add_error(x, -detection.d)
+    x = add_error(motion.x, -detection.d)
     return motion._replace(x=x, p=motion.p + detection.covariance)
 
 

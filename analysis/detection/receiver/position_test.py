@@ -19,7 +19,11 @@ from analysis.detection.filter.inertial import (
     X_SIZE,
     R,
 )
-from analysis.detection.filter.information import innovation_statistic, measurement_update
+from analysis.detection.filter.information import (
+    innovation_statistic,
+    measurement_update,
+    normal_equations,
+)
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.block import FIX_3D
@@ -106,14 +110,15 @@ def run_fix_tests(
 
 
 def _fix_test(p: Vector, v: Vector, h: Vector, variance: Vector, p_false_alarm: float) -> FixTest:
-    q = innovation_statistic(p, np.ascontiguousarray(h), variance, v)
+    q = innovation_statistic(p, normal_equations(h, variance, v))
     return FixTest(q, chi_square_threshold(len(v), p_false_alarm), v, h, variance)
 
 
 def update_with_fix(motion: MotionEstimate, part: FixTest) -> MotionEstimate:
     """The filter after a test's measurement."""
-    h = np.ascontiguousarray(part.h)
-    x, p = measurement_update(motion.x, motion.p, h, part.variance, part.v)
+    x, p, *_ = measurement_update(
+        motion.x, motion.p, normal_equations(part.h, part.variance, part.v)
+    )
     return motion._replace(x=x, p=p)
 
 

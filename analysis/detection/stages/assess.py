@@ -10,19 +10,23 @@ from analysis.detection.detector_state import DetectorCore
 from analysis.detection.filter.covariance_release import free_clock
 from analysis.detection.filter.filter_config import FilterConfig
 from analysis.detection.filter.inertial import X_CLOCK
-from analysis.detection.filter.measurement import NO_INNOVATIONS, EpochObservation, Innovations
+from analysis.detection.filter.measurement import (
+    NO_INNOVATIONS,
+    EpochObservation,
+    Innovations,
+    Mask,
+    predict_innovations,
+)
 from analysis.detection.isolation.epoch_memory import (
     EpochMemory,
     freeze_offsets,
     frozen_offsets_m,
 )
-from analysis.detection.isolation.epoch_statistics import (
-    CLOCK_JUMP_M,
-    EpochStatistics,
-    compute_statistics,
-)
+from analysis.detection.isolation.epoch_statistics import EpochStatistics, compute_statistics
 from analysis.detection.stages.predict import Prediction
 from analysis.detection.values import Value
+
+CLOCK_JUMP_M = 1000.0  # the receiver set its clock: no fault has this on most satellites
 
 
 class Assessment(Value, frozen=True):
@@ -61,8 +65,7 @@ def assess(
     """The epoch against the prediction."""
     memory = core.memory
     assessment = compare(observation, prediction, core, memory, config)
-    # The median needs sorting, so it is computed only when most innovations are large.
-    jump_m = _clock_jump_m(assessment) if assessment.statistics.far else 0.0
+    jump_m = _clock_jump_m(assessment)
     if jump_m:
         x = prediction.motion.x.copy()
         x[X_CLOCK] += jump_m
@@ -84,31 +87,37 @@ def compare(
     config: FilterConfig,
 ) -> Assessment:
     """The innovations of an observation and their statistics, with the offsets in `memory`."""
-    names, excluded = observation.satellites, core.trust.excluded
-    ordered = compute_statistics(
-        observation.measurements,
-        np.array([name not in excluded for name in names], dtype=bool),
-        frozen_offsets_m(memory.frozen, names, prediction.motion.t_us, config),
-        prediction.motion.x,
-        prediction.motion.p,
-        core.broadcast.ionosphere,
-        config.sigma.numbers,
-        config.mask_rad,
-    )
-    count, above, innovations = ordered.trusted, ordered.above, ordered.innovations
-    if count == len(names):
-        parts = names, innovations, (), NO_INNOVATIONS
-    else:
-        in_order = tuple(names[i] for i in ordered.order.tolist())
-        used, outside = innovations.between(0, count), innovations.between(count, above)
-        parts = in_order[:count], used, in_order[count:above], outside
-    return Assessment(prediction, memory, *parts, ordered.statistics)
+    names, excluded, motion = observation.satellites, core.trust.excluded, prediction.motion
+    found = predict_innovations(observation, motion.x, config.sigma, core.broadcast.ionosphere)
+    offset_m = frozen_offsets_m(memory.frozen, names, motion.t_us, config)
+    found = found._replace(range_m=found.range_m - offset_m)
+    # Not `<`, so that a satellite of unknown elevation counts as below.
+    above = found.elevation_rad >= config.mask_rad
+    out: tuple[tuple[str, ...], Innovations] = (), NO_INNOVATIONS
+    if excluded or not above.all():
+        # Excluded satellites have innovations too: they earn their readmission by these.
+        outside = np.array([name in excluded for name in names])
+        out = _select(names, found, above & outside)
+        names, found = _select(names, found, above & ~outside)
+    statistics = compute_statistics(found, motion.p)
+    return Assessment(prediction, memory, names, found, *out, statistics)
+
+
+def _select(
+    names: tuple[str, ...], innovations: Innovations, keep: Mask
+) -> tuple[tuple[str, ...], Innovations]:
+    """The satellites that the mask `keep` (n,) selects, and their innovations."""
+    return tuple(names[i] for i in keep.nonzero()[0].tolist()), innovations.select(keep)
 
 
 def _clock_jump_m(assessment: Assessment) -> float:
     """How far the receiver set its clock; 0 if it did not."""
     used, outside = assessment.innovations, assessment.excluded_innovations
-    ranges_m = sorted((*used.range_m.tolist(), *outside.range_m.tolist()))
+    ranges_m = np.concatenate((used.range_m, outside.range_m))
+    far = np.count_nonzero(np.abs(ranges_m) > CLOCK_JUMP_M)
+    # Half of them at least: no fault has this on most satellites at once.
+    if not 2 * far >= len(ranges_m) > 0:
+        return 0.0
     # The median: a single faulty satellite must not set the clock.
-    middle_m: float = ranges_m[len(ranges_m) // 2]
+    middle_m = sorted(ranges_m.tolist())[len(ranges_m) // 2]
     return middle_m if abs(middle_m) > CLOCK_JUMP_M else 0.0

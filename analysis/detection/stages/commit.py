@@ -120,7 +120,8 @@ def _update(
     memory, ranges = assessment.memory, verdict.ranges
     if verdict.update is not None:
         return verdict.update, memory
-    motion = update_filter(ranges.motion, ranges.usable, verdict.rates.usable)
+    normal = normal_equations(ranges.usable.geometry, ranges.usable.variance, ranges.usable.range_m)
+    motion = update_filter(ranges.motion, normal, verdict.rates.usable).motion
     # Offsets learned while a whole system moves are its shift, not offsets of satellites.
     if not ranges.whole_system:
         memory = freeze_offsets(memory, motion.t_us, config)

@@ -27,7 +27,8 @@ from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import EpochRecord
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE, V
-from analysis.detection.filter.measurement import NO_RATES, Innovations
+from analysis.detection.filter.information import NO_RATES
+from analysis.detection.filter.measurement import Innovations
 from analysis.detection.isolation.all_satellites import reject_all
 from analysis.detection.isolation.epoch_statistics import LEAST_RATES
 from analysis.detection.isolation.range_test import RangeVerdict

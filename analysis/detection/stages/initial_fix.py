@@ -134,7 +134,7 @@ def _repaired(
     # Two satellites of redundancy for each one left out make the set unique.
     largest = min(config.left_out, (len(u) - unknowns) // 2)
     found = explain_by_satellites(m, u, q, config.p_false_alarm, largest, unknowns)
-    systems = group_by_system(innovations.geometry[:, 0:3], innovations.geometry[:, ISB:ERROR_SIZE])
+    systems = group_by_system(innovations.geometry)
     wholes = explain_by_systems(m, u, q, systems, config.p_false_alarm)
     if found is None:
         return InitialFix(None, "the first solutions fail their test", (), q, len(u) - unknowns)

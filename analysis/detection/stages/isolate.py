@@ -9,8 +9,9 @@ from collections.abc import Sequence
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore, EpochRecord
+from analysis.detection.filter.epoch_update import update_filter
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.information import rate_equations
+from analysis.detection.filter.information import normal_equations
 from analysis.detection.isolation.all_satellites import (
     common_jump_m,
     follow_jump,
@@ -31,7 +32,7 @@ from analysis.detection.isolation.ramp_test import (
     new_ramps,
     prepare_ramps,
 )
-from analysis.detection.isolation.ramp_update import EpochStep, update_with_ramps
+from analysis.detection.isolation.ramp_windows import EpochStep, update_windows
 from analysis.detection.isolation.range_test import RangeVerdict, isolate_ranges, run_range_test
 from analysis.detection.isolation.rate_test import RateVerdict, run_rate_test
 from analysis.detection.receiver.carry_off_windows import CarryOff
@@ -87,7 +88,7 @@ class EpochVerdict(Value, frozen=True):
             "none"
         }:
             return False
-        known = doppler and assessment.statistics.rates >= LEAST_RATES
+        known = doppler and assessment.statistics.rate_count >= LEAST_RATES
         return known and assessment.prediction.before.inertial and self.ranges.motion.inertial
 
 
@@ -159,11 +160,8 @@ def _isolate_by_memory(
         source, detection = isolate_imu_or_satellites(history, assessment, config)
         verdict = verdict._replace(source=source)
     elif verdict.has_passed(assessment, config.doppler):
-        innovations, known = assessment.innovations, core.memory.common_shift
-        equations = rate_equations(
-            innovations.geometry, innovations.rate_variance, innovations.rate_mps
-        )
-        shift = shift_statistic(prediction.motion.p, equations)
+        known = core.memory.common_shift
+        shift = shift_statistic(prediction.motion.p, assessment.statistics.rates)
         verdict = verdict._replace(shift=shift)
         if shift_is_suspected(known, shift, prediction.motion.t_us, config):
             level = max(known.level, LEAST_LEVEL)
@@ -188,8 +186,11 @@ def _update_with_ramps(
     motion, t_us = ranges.motion, prediction.motion.t_us
     ramps = assessment.memory.ramps or new_ramps(prediction.before.t_us)
     ramps = prepare_ramps(ramps, t_us, assessment.satellites, ranges.usable.variance, config)
+    used, normal = ranges.usable, assessment.statistics.ranges
+    if used is not assessment.innovations:
+        normal = normal_equations(used.geometry, used.variance, used.range_m)
+    update = update_filter(motion, normal, verdict.rates.usable)
     step = EpochStep(prediction.transition, prediction.dt_s, t_us, motion.inertial)
-    motion, ramps, strongest = update_with_ramps(
-        motion, ranges.usable, verdict.rates.usable, ramps, step, config.ramp_numbers
-    )
-    return FilterUpdate(motion, ramps, evaluate_ramps(ramps, strongest, config))
+    windows, strongest = update_windows(ramps.windows, motion.p, update, step, config.ramp_numbers)
+    ramps = ramps._replace(windows=windows)
+    return FilterUpdate(update.motion, ramps, evaluate_ramps(ramps, strongest, config))

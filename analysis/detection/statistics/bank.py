@@ -20,12 +20,7 @@ from numpy.typing import NDArray
 
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
-from mavproxy_fault.numerics.linear import (
-    invert_positive_definite,
-    multiply_matrices,
-    multiply_vector,
-    transpose_matrix,
-)
+from mavproxy_fault.numerics.linear import invert_positive_definite
 
 Indices = NDArray[np.int64]
 
@@ -98,29 +93,15 @@ def best_subset(m: Vector, u: Vector, q: float, size: int) -> tuple[float, Indic
             pick[j] = pick[j - 1] + 1
 
 
-@compiled
 def freed_statistic(m: Vector, u: Vector, q: float, g: Vector) -> float:
     """The statistic with the parameters along the columns of g (n, k) freed; q if not separable."""
-    turned = transpose_matrix(g)
-    lowered = cholesky_reduction(
-        multiply_matrices(turned, multiply_matrices(m, g)), multiply_vector(turned, u)
-    )
+    lowered = cholesky_reduction(np.ascontiguousarray(g.T @ m @ g), g.T @ u)
     # Parameters that cannot be separated explain nothing: the statistic stays.
     return q - lowered if lowered >= 0.0 else q
 
 
-@compiled
 def projected_weights(design: Vector, weight: Vector) -> Vector:
     """W - W A inv(A'WA) A'W (n, n) for the geometry A (n, k) and weights (n,): the parity test."""
-    count = weight.shape[0]
-    wa = np.empty_like(design)
-    for i in range(count):
-        for j in range(design.shape[1]):
-            wa[i, j] = weight[i] * design[i, j]
-    cofactor = invert_positive_definite(multiply_matrices(transpose_matrix(design), wa))
-    out = multiply_matrices(multiply_matrices(wa, cofactor), transpose_matrix(wa))
-    for i in range(count):
-        for j in range(count):
-            out[i, j] = -out[i, j]
-        out[i, i] += weight[i]
-    return out
+    weighted = design.T * weight
+    cofactor = invert_positive_definite(weighted @ design)
+    return np.diag(weight) - weighted.T @ cofactor @ weighted

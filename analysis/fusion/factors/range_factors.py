@@ -64,12 +64,14 @@ class EpochRanges:
         self._r_m = x[R : R + 3]
         names, frozen = observation.satellites, core.memory.frozen
         offset_m = frozen_offsets_m(frozen, names, t_us, detector)
-        measurements = observation.measurements
+        measurements = observation.measurements._replace(
+            pseudorange_m=observation.measurements.pseudorange_m - offset_m
+        )
         self.table = range_table(
-            measurements._replace(pseudorange_m=measurements.pseudorange_m - offset_m),
+            observation._replace(measurements=measurements),
             x,
             core.broadcast.ionosphere,
-            detector.sigma.numbers,
+            detector.sigma,
             config.correlation,
             math.radians(detector.mask_deg),
         )

@@ -6,12 +6,11 @@ import numpy as np
 
 from analysis.detection.filter.inertial import X_CLOCK, X_DRIFT, V
 from analysis.detection.filter.measurement import (
-    EpochMeasurements,
+    EpochObservation,
     Indices,
-    innovations_kernel,
-    transmitting_states,
+    compare_with_prediction,
 )
-from analysis.detection.filter.range_noise import SigmaNumbers
+from analysis.detection.filter.range_noise import SigmaModel
 from analysis.orbits.broadcast import CLOCK as SAT_CLOCK
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
@@ -27,16 +26,16 @@ SHIFT, VELOCITY, CLOCK, DRIFT, RIGHT_SIDE, ROW = 3, 6, 9, 10, 11, 12
 
 
 def range_table(
-    measurements: EpochMeasurements,
+    observation: EpochObservation,
     x: Vector,
     ionosphere: Vector,
-    sigma: SigmaNumbers,
+    sigma: SigmaModel,
     correlation: float,
     mask_rad: float,
 ) -> Vector:
     """The table (n, COLUMNS) of an epoch's satellites at the filter's state x (21,)."""
-    states = transmitting_states(measurements)
-    innovations = innovations_kernel(measurements, states, x, ionosphere, sigma)
+    states = observation.satellite_states
+    innovations = compare_with_prediction(observation.measurements, states, x, ionosphere, sigma)
     out = np.empty((len(states), COLUMNS))
     los = -innovations.geometry[:, :3]
     sagnac = (states[:, 0] * x[1] - states[:, 1] * x[0]) * GNSS_EARTH_RATE_RPS / SPEED_OF_LIGHT_MPS

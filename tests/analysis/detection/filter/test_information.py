@@ -9,10 +9,8 @@ from analysis.detection.filter.information import (
     inverse_covariance,
     measurement_update,
     normal_equations,
-    select_columns,
-    visible_states,
 )
-from analysis.detection.isolation.ramp_windows import WINDOW_COUNT, RampWindows, respond_to_ranges
+from analysis.detection.isolation.ramp_windows import WINDOW_COUNT, RampWindows, respond
 
 RNG = np.random.default_rng(9)
 COUNT = 9
@@ -31,8 +29,9 @@ def measured(widened: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
 def test_the_statistic_is_that_of_the_innovation_covariance():
     p, h, variance, v = measured()
     m = np.linalg.inv(h @ p @ h.T + np.diag(variance))
-    assert np.allclose(inverse_covariance(p, h, variance), m, atol=1e-10)
-    assert innovation_statistic(p, h, variance, v) == pytest.approx(v @ m @ v, rel=1e-9)
+    normal = normal_equations(h, variance, v)
+    assert np.allclose(inverse_covariance(p, normal), m, atol=1e-10)
+    assert innovation_statistic(p, normal) == pytest.approx(v @ m @ v, rel=1e-9)
 
 
 @pytest.mark.parametrize("widened", [0.0, 1e6])
@@ -43,7 +42,7 @@ def test_an_update_is_that_of_the_kalman_filter(widened: float):
     gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + np.diag(variance))
     rest = np.eye(ERROR_SIZE) - gain @ h
     joseph = rest @ p @ rest.T + gain @ np.diag(variance) @ gain.T
-    moved, after = measurement_update(x, p, h, variance, v)
+    moved, after, *_ = measurement_update(x, p, normal_equations(h, variance, v))
     assert np.allclose(after, joseph, atol=1e-7)
     assert np.linalg.eigvalsh(after).min() > 0.0
     shift = gain @ v
@@ -55,43 +54,35 @@ def test_the_windows_sum_what_the_formed_innovations_would():
     p, h, variance, v = measured()
     m = np.linalg.inv(h @ p @ h.T + np.diag(variance))
     gain, each = p @ h.T @ m, COUNT + 3
-    d = RNG.standard_normal((ERROR_SIZE, WINDOW_COUNT * each))
+    d = RNG.standard_normal((ERROR_SIZE, WINDOW_COUNT, each))
     offsets, ages = RNG.standard_normal((WINDOW_COUNT, COUNT)), np.array([3.0, 8.0, 13.0, 18.0])
-    phi = np.eye(ERROR_SIZE) + 0.1 * RNG.standard_normal((ERROR_SIZE, ERROR_SIZE))
-    states, after = (
-        visible_states(h),
-        measurement_update(np.eye(1, X_SIZE, 6)[0], p, h, variance, v)[1],
+    normal = normal_equations(h, variance, v)
+    _, _, after, _ = measurement_update(np.eye(1, X_SIZE, 6)[0], p, normal)
+    windows = RampWindows(
+        np.zeros(WINDOW_COUNT, np.int64),
+        d.copy(),
+        np.zeros((5, WINDOW_COUNT, COUNT)),
+        np.zeros((WINDOW_COUNT, 3)),
+        np.zeros((WINDOW_COUNT, 3, 3)),
+        np.zeros(COUNT),
+        np.zeros(COUNT),
+        offsets,
+        np.zeros_like(offsets),
     )
-    out, sums = respond_to_ranges(
-        RampWindows(
-            np.zeros(WINDOW_COUNT, np.int64),
-            d,
-            np.zeros((WINDOW_COUNT, 5 * COUNT + 12)),
-            np.zeros(COUNT),
-            np.zeros(COUNT),
-            offsets,
-            np.zeros_like(offsets),
-        ),
-        ages,
-        phi,
-        select_columns(after, states),
-        normal_equations(h, variance, v),
-        0.0,
-    )
-    d = phi @ d
+    respond(windows, ages, normal, after, True)
     for w in range(WINDOW_COUNT):
-        own = d[:, w * each : (w + 1) * each]
+        own = d[:, w]
         g = np.hstack([ages[w] * np.eye(COUNT), np.zeros((COUNT, 3))]) - h @ own
         left = m @ (v - offsets[w])
         ramps, turned = g[:, :COUNT], m @ g
         expected = [
-            *(ramps.T @ left),
-            *left,
-            *(ramps * turned[:, :COUNT]).sum(axis=0),
-            *np.diag(turned[:, :COUNT]),
-            *np.diag(m),
-            *(g[:, COUNT:].T @ left),
-            *(g[:, COUNT:].T @ turned[:, COUNT:]).ravel(),
+            ramps.T @ left,
+            left,
+            (ramps * turned[:, :COUNT]).sum(axis=0),
+            np.diag(turned[:, :COUNT]),
+            np.diag(m),
         ]
-        assert np.allclose(sums[w], expected, rtol=1e-9, atol=1e-8)
-        assert np.allclose(out[:, w * each : (w + 1) * each], own + gain @ g, atol=1e-8)
+        assert np.allclose(windows.sums[:, w], expected, rtol=1e-9, atol=1e-8)
+        assert np.allclose(windows.c[w], g[:, COUNT:].T @ left, rtol=1e-9, atol=1e-8)
+        assert np.allclose(windows.j[w], g[:, COUNT:].T @ turned[:, COUNT:], rtol=1e-9, atol=1e-8)
+        assert np.allclose(windows.d[:, w], own + gain @ g, atol=1e-8)

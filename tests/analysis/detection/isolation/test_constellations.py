@@ -7,6 +7,7 @@ import pytest
 
 from analysis.detection import Detector
 from analysis.detection.filter.ephemerides import select_ephemerides
+from analysis.detection.filter.inertial import ERROR_SIZE, ISB
 from analysis.detection.filter.measurement import observe_epoch
 from analysis.detection.isolation.constellations import SYSTEM_CLOCK, group_by_system
 from analysis.detection.isolation.hypotheses import select_hypothesis
@@ -29,12 +30,12 @@ def judged(change, seed, galileo=GALILEO, known_m=1.0):
     azimuth, sine = rng.uniform(0.0, 2.0 * np.pi, count), rng.uniform(0.2, 1.0, count)
     cosine = np.sqrt(1.0 - sine**2)
     sight = -np.column_stack([cosine * np.sin(azimuth), cosine * np.cos(azimuth), sine])
-    offset = np.zeros((count, 3))
-    offset[GPS:, 0] = 1.0
-    design = np.column_stack([sight, np.ones(count), offset[:, :1]])
+    geometry = np.zeros((count, ERROR_SIZE))
+    geometry[:, :3], geometry[GPS:, ISB] = sight, 1.0
+    design = np.column_stack([sight, np.ones(count), geometry[:, ISB]])
     covariance = known_m**2 * design @ design.T + np.eye(count)
     v = np.linalg.cholesky(covariance) @ rng.standard_normal(count) + change(sight)
-    systems = group_by_system(sight, offset)
+    systems = group_by_system(geometry)
     clock = design[:, 3:4].copy()
     return select_hypothesis(
         np.linalg.inv(covariance), v, sight, clock, 1e-4, 3, "explicit", systems
@@ -98,7 +99,7 @@ def test_one_of_few_satellites_of_a_system_is_still_isolated():
 
 
 def test_a_single_system_is_no_hypothesis():
-    assert group_by_system(np.ones((6, 3)), np.zeros((6, 3))).rows == ()
+    assert group_by_system(np.zeros((6, ERROR_SIZE))).rows == ()
 
 
 @pytest.fixture(scope="module")

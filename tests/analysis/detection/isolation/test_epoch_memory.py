@@ -16,7 +16,7 @@ from analysis.detection.isolation.epoch_memory import (
     learned_offsets_m,
 )
 from analysis.detection.isolation.ramp_test import new_ramps
-from analysis.detection.isolation.ramp_windows import WINDOW_COUNT, RampWindows, learn_offsets
+from analysis.detection.isolation.ramp_windows import WINDOW_COUNT, learn_offsets
 from analysis.results import Decision
 from analysis.samples.sample import Epoch, ImuSample, Sample
 
@@ -63,12 +63,11 @@ def test_frozen_offsets_fade_with_their_correlation_time():
 
 def test_an_offset_is_learned_as_a_kalman_filter_does():
     rng = np.random.default_rng(2)
-    none, table = np.zeros(1), np.zeros((1, 1))
     mean, spread = np.zeros(1), np.ones(1)
     h, p = np.zeros((1, 20)), np.zeros((20, 20))
     for _ in range(50):
         v = 0.7 + rng.standard_normal(1)
-        windows = RampWindows(none.astype(np.int64), table, table, mean, spread, table, table)
+        windows = new_ramps(0).windows._replace(offset=mean, spread=spread)
         ranges = normal_equations_over(np.arange(20), h, np.ones(1), v)
         mean, spread = learn_offsets(windows, p, ranges, 1.0, FOR_EVER)
     assert spread[0] == pytest.approx(1.0 / 51.0)
