@@ -6,24 +6,15 @@ broadcast clocks only.
 
 import math
 from datetime import datetime
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
+from msgspec import Meta
 
-FASTEST_HZ = 100.0  # epochs per second
-
-
-class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of the sections: refuses negative numbers, except keys ending in `_offset_m`."""
-
-    def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            value = getattr(self, name)
-            if isinstance(value, int | float) and value < 0 and not name.endswith("_offset_m"):
-                raise ValueError(f"{name} = {value} is negative; 0 or more is allowed")
+from mavproxy_fault.documents.document_check import NotNegative
 
 
-class ClockConfig(_Section, frozen=True, kw_only=True):
+class ClockConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The receiver's clock: two states driven by white noise.
 
     `offset_s` and `drift` are the standard deviations of the initial values. `h0_s` and `h2_hz` are
@@ -33,14 +24,14 @@ class ClockConfig(_Section, frozen=True, kw_only=True):
     GPS's (inter-system bias).
     """
 
-    offset_s: float = 1e-6
-    drift: float = 1e-7
-    h0_s: float = 2e-19
-    h2_hz: float = 2e-20
+    offset_s: NotNegative = 1e-6
+    drift: NotNegative = 1e-7
+    h0_s: NotNegative = 2e-19
+    h2_hz: NotNegative = 2e-20
     galileo_offset_m: float = 1.5
 
 
-class ReceiverConfig(_Section, frozen=True, kw_only=True):
+class ReceiverConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How the receiver acquires and loses satellites.
 
     After a `hot` start the receiver has all ephemerides and tracks every signal at power-on. After
@@ -51,13 +42,12 @@ class ReceiverConfig(_Section, frozen=True, kw_only=True):
     """
 
     start: Literal["hot", "cold"] = "hot"
-    search_s: float = 5.0
+    search_s: NotNegative = 5.0
     message_s: tuple[float, float] = (18.0, 36.0)
-    lock_dbhz: float = 25.0
-    reacquire_s: float = 2.0
+    lock_dbhz: NotNegative = 25.0
+    reacquire_s: NotNegative = 2.0
 
     def __post_init__(self) -> None:
-        super().__post_init__()
         first, last = self.message_s
         if not 0.0 <= first <= last < math.inf:
             raise ValueError(
@@ -66,7 +56,7 @@ class ReceiverConfig(_Section, frozen=True, kw_only=True):
             )
 
 
-class GnssConfig(_Section, frozen=True, kw_only=True):
+class GnssConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Satellites and errors of the measurements.
 
     Parameters
@@ -88,33 +78,26 @@ class GnssConfig(_Section, frozen=True, kw_only=True):
         Standard deviation and correlation time of the broadcast orbit and clock error.
     """
 
-    rate_hz: float = 5.0
-    latency_s: float = 0.0
-    id: int = 0
+    rate_hz: Annotated[float, Meta(gt=0, le=100)] = 5.0  # epochs per second
+    latency_s: NotNegative = 0.0
+    id: Annotated[int, Meta(ge=0)] = 0
     navigation: str | None = None
     time: datetime | None = None
     systems: tuple[Literal["GPS", "Galileo"], ...] = ("GPS", "Galileo")
-    mask_deg: float = 10.0
+    mask_deg: Annotated[float, Meta(ge=0, le=90)] = 10.0
     ionosphere: bool = True
     troposphere: bool = True
-    cn0_zenith_dbhz: float = 49.5
-    cn0_horizon_dbhz: float = 32.0
-    cn0_sigma_db: float = 0.5
-    thermal: float = 1.0
-    multipath: float = 1.0
-    multipath_s: float = 20.0
-    orbit_m: float = 0.4
-    orbit_s: float = 1800.0
+    cn0_zenith_dbhz: NotNegative = 49.5
+    cn0_horizon_dbhz: NotNegative = 32.0
+    cn0_sigma_db: NotNegative = 0.5
+    thermal: NotNegative = 1.0
+    multipath: NotNegative = 1.0
+    multipath_s: NotNegative = 20.0
+    orbit_m: NotNegative = 0.4
+    orbit_s: NotNegative = 1800.0
     clock: ClockConfig = ClockConfig()
     receiver: ReceiverConfig = ReceiverConfig()
 
     def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0.0 < self.rate_hz <= FASTEST_HZ:
-            raise ValueError(
-                f"rate_hz = {self.rate_hz} is out of range; use 0 < rate_hz <= {FASTEST_HZ:g}"
-            )
-        if self.mask_deg > 90.0:
-            raise ValueError(f"mask_deg = {self.mask_deg} is above the zenith; 0 to 90 is allowed")
         if not self.systems:
             raise ValueError("systems is empty; list GPS, Galileo or both")

@@ -1,12 +1,11 @@
 """Process noise of the filter: the IMU, the receiver's clock, and motion without an IMU."""
 
 from functools import cached_property
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import msgspec
-from msgspec import Meta
 
-NotNegative = Annotated[float, Meta(ge=0)]
+from mavproxy_fault.documents.document_check import NotNegative
 
 
 class NoiseDensities(NamedTuple):

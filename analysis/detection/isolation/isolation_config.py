@@ -6,9 +6,9 @@ from typing import Annotated
 from msgspec import Meta
 
 from analysis.detection.filter.filter_config import FilterConfig, Seconds
-from analysis.detection.filter.process_noise import NotNegative
 from analysis.detection.isolation.hypotheses import ISOLATION_RULES
 from analysis.detection.isolation.ramp_windows import RampNumbers
+from mavproxy_fault.documents.document_check import NotNegative
 
 MOST_LEFT_OUT = 64  # satellites: more than are ever in view
 

@@ -6,6 +6,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -129,15 +130,15 @@ def test_a_start_at_which_nothing_is_valid_is_refused() -> None:
     ("wrong", "message"),
     [
         ({"systems": ()}, "systems is empty"),
-        ({"rate_hz": 0.0}, "rate_hz = 0.0 is out of range; use 0 < rate_hz"),
-        ({"rate_hz": 1e9}, "<= 100"),
-        ({"mask_deg": 91.0}, "mask_deg = 91.0 is above the zenith"),
-        ({"latency_s": -1.0}, "latency_s = -1.0 is negative"),
+        ({"rate_hz": 0.0}, "> 0.*rate_hz"),
+        ({"rate_hz": 1e9}, "<= 100.*rate_hz"),
+        ({"mask_deg": 91.0}, "<= 90.*mask_deg"),
+        ({"latency_s": -1.0}, ">= 0.*latency_s"),
     ],
 )
 def test_invalid_receiver_parameters_are_refused(wrong: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        GnssConfig(**wrong)
+        msgspec.convert(wrong, GnssConfig)
 
 
 @pytest.mark.parametrize("span", [(36.0, 18.0), (-1.0, 5.0), (0.0, math.inf)])

@@ -351,9 +351,9 @@ def test_an_unknown_plant_parameter_or_satellite_is_refused(
 
 
 def test_negative_parameters_are_refused() -> None:
-    with pytest.raises(msgspec.ValidationError, match=r"multipath = -1\.0 is negative"):
+    with pytest.raises(msgspec.ValidationError, match=r">= 0.*multipath"):
         msgspec.convert({"multipath": -1.0}, GnssConfig)
-    with pytest.raises(msgspec.ValidationError, match="reacquire_s = -2"):
+    with pytest.raises(msgspec.ValidationError, match=r">= 0.*reacquire_s"):
         msgspec.convert({"receiver": {"reacquire_s": -2}}, GnssConfig)
     with pytest.raises(msgspec.ValidationError, match="unknown field"):
         msgspec.convert({"clock": {"wrong": 1}}, GnssConfig)

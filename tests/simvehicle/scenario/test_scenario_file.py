@@ -103,7 +103,7 @@ WRONG = [
         r"length_m\[0\] = 0 is out of range",
     ),
     ("environment: {shear: {reference_m: 0}}\n", r"reference_m = 0 is out of range"),
-    ("gnss: {rate_hz: 0}\n", r"flight.yaml:1: gnss.rate_hz = 0.0 is out of range"),
+    ("gnss: {rate_hz: 0}\n", r"flight.yaml:1: gnss.rate_hz = 0 is out of range"),
     ("environment: {gusts: strong}\n", r"flight.yaml:1: environment.gusts"),
     ("start: {time: 2024-03-07T12:00:00}\n", r"flight.yaml:1: start.time has no time zone"),
     ("sensors: {imu: {}}\nsensors: {}\n", r"flight.yaml:2: sensors is given twice"),
