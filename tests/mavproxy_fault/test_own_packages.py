@@ -22,9 +22,8 @@ def put_file(folder: Path, form: str, name: str) -> None:
 
 @pytest.mark.parametrize("form", ["file", "package", "namespace"])
 @pytest.mark.parametrize("command", [MODULE, SCRIPT], ids=["module", "script"])
-@pytest.mark.parametrize("path", ["", "."], ids=["", "PYTHONPATH"])
 def test_files_with_the_names_of_our_packages_break_nothing(
-    tmp_path: Path, form: str, command: list[str], path: str
+    tmp_path: Path, form: str, command: list[str]
 ) -> None:
     for name in ("analysis", "simvehicle"):
         put_file(tmp_path, form, name)
@@ -37,7 +36,7 @@ def test_files_with_the_names_of_our_packages_break_nothing(
     done = subprocess.run(
         [*command, *arguments],
         cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": path},
+        env={**os.environ, "PYTHONPATH": "."},  # the folder comes first, in both forms
         capture_output=True,
         text=True,
         check=False,
