@@ -255,7 +255,7 @@ class CompiledCore:
         loop, core = self.loop, self._core
         engine: Any = core.engine
         if engine is not None and loop[k.WANTED_AT]:
-            engine.now_us = max(engine.now_us, int(loop[k.WANTED_AT]))
+            engine.now_us = int(loop[k.WANTED_AT])  # even if an older clock's, as in the core
             engine.link_us = int(loop[k.WANTED_LINK_AT])
             loop[k.WANTED_AT] = 0
         begun = self._plans is not None and not plain and self._plans.settle(engine)
