@@ -94,8 +94,9 @@ SENSOR_GROUPS = {"accel": IMU, "gyro": IMU, "mag": MAG, "baro": BARO, "airspeed"
 # Faults that act on the link's bytes and frames, whatever their content
 LOSS_FAULTS = (
     *("outage", "drop", "burst-loss", "gilbert-elliott", "rate-limit", "corrupt", "truncate"),
-    "sequence-gap",
+    *("sequence-gap", "bit-errors", "radio"),
 )
+LATE_FAULTS = ("delay", "jitter")  # a stream is silent while its frames are late
 LINK_UNITS = ("mavlink-", "datalink-")  # failures of the autopilot's own link
 HARMLESS_FAULTS = {  # no channel should react to these
     "command": "a command to the vehicle falsifies nothing",
@@ -154,9 +155,11 @@ def _link_visibility(label: Label) -> FaultVisibility:
     """A fault of the entire link falsifies nothing, but any stream may fall silent."""
     if label.by and not label.fault.startswith(LINK_UNITS):
         return FaultVisibility(frozenset(), reason=f"no channel monitors {label.fault}")
-    if not label.by and label.fault not in LOSS_FAULTS:
-        return FaultVisibility(frozenset(), reason=f"{label.fault} on a link changes no value")
     any_name = frozenset({*SENSOR_VISIBILITY, *ENTIRE_RECEIVER})
+    if not label.by and label.fault not in LOSS_FAULTS:
+        names = any_name if label.fault in LATE_FAULTS else frozenset[str]()
+        reason = f"{label.fault} on a link changes no value"
+        return FaultVisibility(frozenset(), may_isolate=names, reason=reason)
     return FaultVisibility(frozenset({LINK}), (any_name,), any_name)
 
 

@@ -93,13 +93,17 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
     senders[CANDIDATE_STAMP + clock] = 0
     senders[NEWEST_TIME] = t_us
     senders[newest_at] = t_us
-    # Of several clocks the link time follows the one that is ahead.
+    follow_link(senders, clock, t_us, now_us)
+    return t_us
+
+
+def follow_link(senders: Senders, clock: int, t_us: int, now_us: int) -> None:
+    """Note the newest time of a clock for the link time, which follows the clock that is ahead."""
     ahead = t_us > senders[LINK_STAMP] + now_us - senders[LINK_STAMP_HEARD]
     if ahead or clock == senders[LINK_CLOCK]:
         senders[LINK_CLOCK] = clock
         senders[LINK_STAMP] = t_us
         senders[LINK_STAMP_HEARD] = now_us
-    return t_us
 
 
 def link_time(senders: Senders, now_us: int) -> int:

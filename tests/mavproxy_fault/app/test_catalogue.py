@@ -45,8 +45,10 @@ def test_programs_get_the_result_as_json(
 def test_show_lists_the_parameters_of_a_fault(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["faults", "show", "jitter"]) == 0
     text = capsys.readouterr().out
-    assert "distribution: exponential | normal | pareto | uniform (default uniform)" in text
-    assert "value: number (required)" in text
+    assert (
+        "distribution: exponential | normal | pareto | samples | uniform (default uniform)" in text
+    )
+    assert "base_s: number (default 0.0)" in text
 
 
 def test_show_lists_the_entries_of_a_preset(capsys: pytest.CaptureFixture[str]) -> None:
