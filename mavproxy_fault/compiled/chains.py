@@ -178,7 +178,7 @@ def _act_on_values(
         healthy, new = read_element(work, at, code), shared.values[k.SLOT // 2 + row - first]
         changed |= write_element(work, at, code, healthy, new, outcome)
         saturated += int(outcome[k.CUT])
-        change = outcome[k.STEP] * shared.factors[row, k.STEP_SCALE]
+        change = outcome[k.STEP] / shared.factors[row, k.STEP_SCALE]
         if math.isfinite(change):
             largest = max(largest, change)
     end = step[k.END]

@@ -239,7 +239,7 @@ class Plans:
         """The elements of a message that a fault acts on: numbers, unit, and step of the label."""
         if isinstance(fault, TimestampFault):
             return [
-                (locate_element(layout, name), (*fault.error(), scale), 1.0, 1.0 / scale)
+                (locate_element(layout, name), (*fault.error(), scale), 1.0, scale)
                 for name, scale in stamp_fields(layout).items()
             ]
         if not isinstance(fault, RuleFault):
@@ -307,7 +307,7 @@ class Plans:
 
     def settle(self, engine: "Engine") -> bool:
         """Add the counts of the compiled code to the entries; whether a label has begun."""
-        entries, begun = self.entries, False
+        entries, begun = self.entries, dict[int, int]()
         for row, running in enumerate(self._running):
             running.sealed += entries[row, k.SEALED]
             entries[row, k.SEALED] = 0
@@ -324,6 +324,6 @@ class Plans:
                 entries[row, column] = 0
             self.changes[row, 1] = -1.0
             if running.needs_attention:
-                engine.attend(running, first_us)
-                begun = True
-        return begun
+                begun[id(running)] = first_us
+        engine.attend_all(begun)
+        return bool(begun)

@@ -18,6 +18,11 @@ class ActiveValueEntry(ActiveEntry):
         # Cached for use with every frame; a live edit of the value does not change them.
         self._elements, self._factors = self.fault.elements, self.fault.factors
         self._by_sender = self.fault.by_sender
+        self._whole = all(one.code not in "fd" for row in self._elements.values() for one in row)
+
+    def count_frames(self, frames: int, saturated: int, magnitude: float) -> None:
+        """Add to the counts; a change of integers is written as one, whoever counted it."""
+        super().count_frames(frames, saturated, (int if self._whole else float)(magnitude))
 
     def edit(self, draft: Draft, direction: str, t_us: int) -> None:
         """Apply the fault to a frame's values and count the change."""

@@ -11,6 +11,7 @@ from array import array
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import msgspec
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -30,7 +31,6 @@ from mavproxy_fault.proxy.statistics import LatencyHistogram
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import INTEGER_LIMITS, Frame, build_frame
-from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.parser import Parser
 from mavproxy_fault.wire.signing import Signing, derive_key, sign_frame
 
@@ -242,7 +242,7 @@ class Outcome(NamedTuple):
     """What one way made of the traffic: what left, the labels, and all that is remembered."""
 
     sent: list[bytes]
-    labels: list[Label]
+    labels: list[bytes]
     states: list[LinkState]
     senders: "array[int]"
     streams: "array[int] | None"
@@ -274,8 +274,9 @@ def compiled(
                 now_us = (forwarder.loop[k.BASE] + until_ns) // 1000 - 100
                 if not forwarder.loop[k.ROW_AT]:  # not in the middle of a datagram
                     data += b"".join(send.data for send in core.due(now_us))
-                if core.next_due_us is not None:
-                    until_ns = min(until_ns, core.next_due_us * 1000 - forwarder.loop[k.BASE])
+                    due_us = core.next_due_us
+                    if due_us is not None:
+                        until_ns = min(until_ns, due_us * 1000 - forwarder.loop[k.BASE])
                 forwarder.forward(until_ns, spin=False)
                 with contextlib.suppress(BlockingIOError):
                     while True:
@@ -294,7 +295,8 @@ def finished(core: Core, sent: list[bytes], now_us: int) -> Outcome:
     sent.append(b"".join(send.data for send in core.due(now_us + 10_000_000)))
     core.finish(now_us + 10_000_000)
     streams = core.signing and core.signing.verifier.streams
-    return Outcome(sent, core.drain_labels(), core.states, core.senders, streams)
+    labels = [msgspec.json.encode(label) for label in core.drain_labels()]
+    return Outcome(sent, labels, core.states, core.senders, streams)
 
 
 def interpreted(
@@ -445,9 +447,9 @@ def test_what_is_left_of_a_batch_after_a_count_is_counted_too() -> None:
 def test_a_live_edit_loses_no_count_of_the_faults_already_acting() -> None:
     """What machine code counted in stretches without events was lost with the rows it rebuilt."""
     first, later = (
-        {"id": f"f{n}", "fault": "bias", "target": "ATTITUDE.roll", "value": n + 1}
+        {"id": f"f{n}", "fault": "bias", "target": "GLOBAL_POSITION_INT.vx", "value": n + 1}
         for n in range(2)
     )
-    layout = message_layout("ATTITUDE")
+    layout = message_layout("GLOBAL_POSITION_INT")
     traffic = [build_frame(layout, {"time_boot_ms": 10 * n + 10}, seq=n) for n in range(60)]
     check(traffic, [first], [(40, "arm", later)])
