@@ -16,7 +16,7 @@ from mavproxy_fault.proxy.capture_buffer import INDEX, CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.proxy.routing import target_offsets
-from mavproxy_fault.proxy.senders import WALL_OFFSET
+from mavproxy_fault.proxy.senders import UNKNOWN, WALL_OFFSET
 from mavproxy_fault.proxy.vehicle_clock import stamp_location
 from mavproxy_fault.wire.dialect import Layout, find_layout
 from mavproxy_fault.wire.parser import frame_span, walk_frames
@@ -50,7 +50,7 @@ class CompiledCore:
         self.loop, self.ports = arrays["loop"], arrays["ports"]
         self._learned: dict[int, Layout] = {}
         self._plans: Plans | None = None
-        self.loop[k.KEEP] = tape is not None
+        self.loop[k.KEEP], self.loop[k.WANTED_AT] = tape is not None, UNKNOWN
         self.loop[k.LINK_COUNT], self.loop[k.POLLS] = len(core.links), descriptors
         self.loop[k.TIME_AT] = k.address(self.loop) + 8 * k.SECONDS
         self.loop[k.SIGNING] = k.KEYED * bool(key) | k.STRIPPED * signing.strip
@@ -254,10 +254,10 @@ class CompiledCore:
         """
         loop, core = self.loop, self._core
         engine: Any = core.engine
-        if engine is not None and loop[k.WANTED_AT]:
+        if engine is not None and loop[k.WANTED_AT] != UNKNOWN:
             engine.now_us = int(loop[k.WANTED_AT])  # even if an older clock's, as in the core
             engine.link_us = int(loop[k.WANTED_LINK_AT])
-            loop[k.WANTED_AT] = 0
+            loop[k.WANTED_AT] = UNKNOWN
         begun = self._plans is not None and not plain and self._plans.settle(engine)
         at = 0
         while at < loop[k.HELD_AT]:

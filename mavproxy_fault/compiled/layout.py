@@ -53,9 +53,7 @@ ENTRY, FROM, TO, NEXT, END, NEED, NUMBERS_FROM = range(7)  # END: bytes that the
 STEP_SIZE = 7
 # Columns of `elements` and of `factors`
 OFFSET, CODE, NUMBERS_AT = range(3)
-FACTOR, STEP_SCALE = range(
-    2
-)  # divisors: to the unit of the rule, and of a change to that of the label
+FACTOR, STEP_SCALE = range(2)  # divisors, for the rule and for the label
 # Columns of `keys`: whose memory it is, and where
 KEY_ENTRY, KEY_WAY, KEY_SENDER, KEY_MESSAGE, KEY_INSTANCE, MEMORY_AT = range(6)
 STEP, CUT = range(2)  # entries of `outcome`: how far an element moved, whether it saturated

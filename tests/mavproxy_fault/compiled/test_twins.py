@@ -283,8 +283,9 @@ def compiled(
                 now_us = (forwarder.loop[k.BASE] + until_ns) // 1000 - 100
                 if not forwarder.loop[k.ROW_AT]:  # not in the middle of a datagram
                     data += b"".join(send.data for send in core.due(now_us))
-                if core.next_due_us is not None:
-                    until_ns = min(until_ns, core.next_due_us * 1000 - forwarder.loop[k.BASE])
+                    due_us = core.next_due_us
+                    if due_us is not None:
+                        until_ns = min(until_ns, due_us * 1000 - forwarder.loop[k.BASE])
                 forwarder.forward(until_ns, spin=False)
                 with contextlib.suppress(BlockingIOError):
                     while True:
