@@ -155,11 +155,12 @@ def _link_visibility(label: Label) -> FaultVisibility:
     """A fault of the entire link falsifies nothing, but any stream may fall silent."""
     if label.by and not label.fault.startswith(LINK_UNITS):
         return FaultVisibility(frozenset(), reason=f"no channel monitors {label.fault}")
-    any_name = frozenset({*SENSOR_VISIBILITY, *ENTIRE_RECEIVER})
+    streams = frozenset({*SENSOR_VISIBILITY, POSITION, SATELLITES})
     if not label.by and label.fault not in LOSS_FAULTS:
-        names = any_name if label.fault in LATE_FAULTS else frozenset[str]()
+        names = streams if label.fault in LATE_FAULTS else frozenset[str]()
         reason = f"{label.fault} on a link changes no value"
         return FaultVisibility(frozenset(), may_isolate=names, reason=reason)
+    any_name = streams | ENTIRE_RECEIVER
     return FaultVisibility(frozenset({LINK}), (any_name,), any_name)
 
 

@@ -128,6 +128,8 @@ def _outcome(
     # Alarms before the fault cannot be caused by it.
     began = [w for w in windows if label.start_us <= w.start_us <= period.until_us]
     own = [w for w in began if period.explains(w)]
+    # What no channel can observe is not detected, even if an isolation is its consequence.
+    seen = own if period.visibility.channels | period.witnesses else []
     right = tuple(sorted({w.name for w in own if w.isolated}))
     wrongly = [w for w in began if w.isolated and not _explained(w, periods)]
     verdict, reason = _verdict(period, own, right, active)
@@ -145,9 +147,9 @@ def _outcome(
         end_s=None if label.end_us is None else _seconds(label, label.end_us),
         frames=label.frames,
         channels=tuple(sorted(period.visibility.channels)),
-        detected=bool(own),
+        detected=bool(seen),
         # From the fault's start to its first window.
-        delay_s=_seconds(label, own[0].start_us - label.start_us + label.t0_us) if own else None,
+        delay_s=_seconds(label, seen[0].start_us - label.start_us + label.t0_us) if seen else None,
         isolated=right,
         wrongly=tuple(_wrong_isolation(label, w) for w in wrongly),
         verdict=verdict,
@@ -162,7 +164,7 @@ def _verdict(
     visibility = period.visibility
     observing = visibility.channels | period.witnesses
     # No channel can observe this fault: no verdict about the monitor.
-    if not own and not observing:
+    if not observing:
         return NOT_JUDGED, visibility.reason
     if not own and not observing & set(active):
         return NOT_JUDGED, f"no {' or '.join(sorted(observing))} in this flight"
@@ -173,8 +175,8 @@ def _verdict(
         for c in visibility.must_isolate
         if not any(FaultVisibility(c, (), c).allows(n) for n in right)
     ]
-    if right and visibility.must_isolate and not missing:
-        return ISOLATED, ""
+    if right and not missing:
+        return ISOLATED if visibility.must_isolate else DETECTED, ""
     # The detector reported an ambiguous pair: less than isolated, more than an alarm.
     either = sorted({w.name for w in own if OR_SEPARATOR in w.name})
     if either:

@@ -326,6 +326,24 @@ def test_channels_follow_from_target_and_kind(fault: str, targets: str, channels
     assert bool(found.reason) is not bool(channels)
 
 
+@pytest.mark.parametrize("fault", ["delay", "jitter"])
+def test_late_frames_silence_streams_but_falsify_no_satellite(fault: str) -> None:
+    found = fault_visibility(label("f", "", fault=fault))
+    assert not found.channels
+    assert all(map(found.allows, ("imu", "baro", "gps-position", "satellites", "link")))
+    assert not any(map(found.allows, ("G12", "gps-velocity", "clock", "motor 1")))
+
+
+def test_a_consequence_of_what_no_channel_observes_is_no_detection() -> None:
+    """A stream that falls silent as its frames are late, 9 s after they begin to be."""
+    found = judged([label("f", "", fault="delay")], [sensor(19, "baro")])
+    assert [(o.verdict, o.detected, o.delay_s, o.isolated) for o in found] == [
+        ("not judged", False, None, ("baro",))
+    ]
+    (lost,) = judged([label("f", "PSEUDORANGE.G12", fault="drop")], [decision(12, ["G12"])])
+    assert (lost.verdict, lost.detected, lost.wrongly) == ("not judged", False, ())
+
+
 def test_on_a_link_that_loses_frames_the_raw_ranges_may_fall_silent_as_well() -> None:
     silent = windows([sensor(12, "satellites"), sensor(12, "link")])
     assert not false_alarms([label("f", "", fault="drop")], silent, 100.0, 200_000)
