@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from simvehicle.scenario.scenario_file import Scenario, read_scenario
+from simvehicle.scenario.scenario_file import Scenario, SensorSuite, read_scenario
 from simvehicle.sensors.imu import ImuSensor
 
 
@@ -118,6 +118,12 @@ def test_an_error_names_the_line_and_what_is_allowed(
 ) -> None:
     with pytest.raises(ConfigError, match=message):
         read(tmp_path, text)
+
+
+@pytest.mark.parametrize("sensor", SensorSuite.__struct_fields__)
+def test_no_sensor_takes_a_rate_of_zero(tmp_path: Path, sensor: str) -> None:
+    with pytest.raises(ConfigError, match=rf"sensors.{sensor}.*rate_hz = 0 is out of range"):
+        read(tmp_path, f"sensors: {{{sensor}: {{rate_hz: 0}}}}\n")
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
