@@ -17,7 +17,7 @@ from typing import Any
 import llvmlite.binding as llvm  # type: ignore[import-untyped]
 
 from mavproxy_fault.numerics.baseline import BASELINE, runs_baseline
-from mavproxy_fault.numerics.code_cache import alone, code_digest, installed, place
+from mavproxy_fault.numerics.code_cache import alone, code_digest, installed, note_use, place
 
 PACKAGE = Path(__file__).parents[1]
 ENTRY = "compiled/sockets.py"
@@ -79,9 +79,6 @@ def make() -> None:
             fresh = path.with_suffix(".new")
             fresh.write_bytes(_compiled())
             fresh.replace(path)
-            for old in path.parent.glob("forward-*.o"):
-                if old != path:
-                    old.unlink(missing_ok=True)
 
 
 def _compiled() -> bytes:
@@ -117,6 +114,7 @@ def _without_python(module: Any) -> str:
 def load() -> Forward | None:
     """The compiled `forward`, which gives up the interpreter's lock while it runs; None yet."""
     path = object_path()
+    note_use(path, "forward-*.o")
     return _linked(path) if path.is_file() else None
 
 

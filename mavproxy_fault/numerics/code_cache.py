@@ -144,13 +144,19 @@ def kernels() -> Path:
 def module_folder(module: str, source: Path) -> Path:
     """The folder of a module's functions; those of its old sources are removed."""
     found = kernels() / f"{module}-{source_digest(source)}"
+    note_use(found, f"{module}-*")
+    return found
+
+
+def note_use(found: Path, others: str) -> None:
+    """Note that a file or folder is in use; remove the others of a pattern beside it that have not
+    been for a week. Several versions of the sources may share the place."""
     with suppress(OSError):  # it is not there yet, or not ours
         os.utime(found)
-    for old in kernels().glob(f"{module}-*"):
+    for old in found.parent.glob(others):
         with suppress(OSError):  # another process may remove it too
-            if old.stat().st_mtime < time.time() - STALE_S:
-                shutil.rmtree(old, ignore_errors=True)
-    return found
+            if old != found and old.stat().st_mtime < time.time() - STALE_S:
+                shutil.rmtree(old) if old.is_dir() else old.unlink()
 
 
 def installed_folder(module: str, source: Path) -> Path | None:

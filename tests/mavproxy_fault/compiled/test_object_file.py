@@ -1,3 +1,4 @@
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -30,6 +31,22 @@ def test_machine_code_that_was_installed_is_preferred(
     path.parent.mkdir()
     path.touch()
     assert object_file.object_path() == path
+
+
+def test_machine_code_of_other_sources_stays_for_a_week(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, used, old = (tmp_path / f"forward-{name}.o" for name in ("this", "used", "old"))
+    make()
+    path.write_bytes(object_file.object_path().read_bytes())
+    for other in (used, old):
+        other.touch()
+    os.utime(old, (0, 0))
+    os.utime(path, (0, 0))
+    monkeypatch.setattr(object_file, "object_path", lambda: path)
+    assert load() is not None
+    assert [used.exists(), old.exists()] == [True, False]
+    assert path.stat().st_mtime > 0
 
 
 def test_every_file_that_is_compiled_in_is_among_the_sources() -> None:
