@@ -66,6 +66,7 @@ def main(args: argparse.Namespace) -> int:
         from analysis.campaign.results.evidence import write_evidence
 
         write_evidence(folder, Path(args.evidence))
+        print(f"evidence {Path(args.evidence) / 'evidence.html'}", file=sys.stderr)
     return int(failed > 0)
 
 

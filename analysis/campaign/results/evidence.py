@@ -6,7 +6,7 @@
     campaign.yaml, rows/NAME.yaml   campaign files that make all numbers, or those of a row, again
 
 Bounds are those of Clopper and Pearson [1]_ for the share of failed flights, with a confidence of
-95 %. A hash covers all results of a row but the time they took.
+95 %. A hash covers all results of a row except the time they took.
 
 References
 ----------
@@ -41,6 +41,8 @@ from mavproxy_fault.faults.registry import fault_class
 from mavproxy_fault.schedule.presets import read_preset
 
 CONFIDENCE = 0.95
+# A page of paper takes all columns: hashes and commands wrap.
+PRINTED = "@page { size: landscape; } .wide td:nth-last-child(-n+2) { overflow-wrap: anywhere; }"
 Row = dict[str, str]
 
 
@@ -180,13 +182,13 @@ def render_page(campaign: CampaignFile, tables: dict[str, list[Row]]) -> str:
         if rows:
             parts.append(f"<h2>{title}</h2>")
             parts.append(html_table(title, list(rows[0]), [list(row.values()) for row in rows]))
-    style = (files("analysis.report.page") / "assets" / "page.css").read_text()
+    style = (files("analysis.report.page") / "assets" / "page.css").read_text() + PRINTED
     name = escape(f"Evidence: {campaign.name}")
     return (
         f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name}</title>'
         f"<style>{style}</style></head><body><header><h1>{name}</h1></header><main>"
         "<p>Bounds: share of failed flights, 95 % confidence (Clopper and Pearson), for the "
-        "conditions flown here. A hash covers the results of a row but the time they took; the "
+        "conditions flown here. A hash covers the results of a row except the time they took; the "
         "command makes them again, in this folder.</p>" + "".join(parts) + "</main></body></html>\n"
     )
 
