@@ -13,12 +13,12 @@ from mavproxy_fault.ardupilot.feeding.sensor_feed import SensorFeed
 from mavproxy_fault.ardupilot.outputs import MODE_ARMED, Channels, actuator_frame
 from mavproxy_fault.ardupilot.preparation import Preparation
 from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle
+from mavproxy_fault.proxy.interfaces import NEVER_US
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
 RADIO_LOST_US = 500_000  # as PX4's COM_RC_LOSS_T
-FOREVER_US = 1 << 62
 ANSWERS, TELEMETRY = 0, 1  # stream numbers of returned data: a frame never spans both
 
 ReplyHandler = Callable[[int, bytes], None]
@@ -68,7 +68,7 @@ class Bridge:
         self._sent_us: int | None = None  # time of the step that ArduPilot is processing
         self._line_requested = False  # ArduPilot waits for a line
         self._accepted = -1
-        self._radio_us, self._radio_heard = FOREVER_US, True  # unless there is a remote control
+        self._radio_us, self._radio_heard = NEVER_US, True  # unless there is a remote control
 
     def descriptors(self) -> dict[int, Callable[[], None]]:
         """Return the descriptors of ArduPilot's ports with their handlers."""

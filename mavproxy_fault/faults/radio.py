@@ -5,11 +5,11 @@ lost on the air, as SiK radios do; PX4 and ArduPilot slow their streams down by 
 buffer are those of the SiK firmware (ArduPilot/SiK, Firmware/radio/mavlink.c and serial.c).
 """
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from mavproxy_fault.fault_parts.fault import Outgoing
+from mavproxy_fault.fault_parts.fault import Generator, Outgoing
 from mavproxy_fault.fault_parts.memory import ARENA, Memory
 from mavproxy_fault.fault_parts.rules import LOST, Drawn, Numbers, link_rule
 from mavproxy_fault.faults.loss import Share, lose_by_length
@@ -17,15 +17,10 @@ from mavproxy_fault.faults.rate import MOST_QUEUED, QUEUE_AT, Count, RateLimit, 
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 
-if TYPE_CHECKING:
-    from numpy.random import Generator
-
 SYSTEM, COMPONENT = ord("3"), ord("D")
 STATUS_US = 1_000_000
-ERRORS_AT = (
-    QUEUE_AT + 3 + 2 * MOST_QUEUED
-)  # frames lost on the air, and when the next report is due
-STATUS_AT = ERRORS_AT + 1
+ERRORS_AT = QUEUE_AT + 3 + 2 * MOST_QUEUED  # behind the queue: frames lost on the air
+STATUS_AT = ERRORS_AT + 1  # when the next report is due
 Byte = Annotated[int, Meta(ge=0, le=255)]
 
 
@@ -78,7 +73,7 @@ class Radio(RateLimit, frozen=True, kw_only=True):
         return self.bit_error_rate, *super().numbers()
 
     def outcome(
-        self, frame: Frame | bytes, t_us: int, memory: Memory, rng: "Generator"
+        self, frame: Frame | bytes, t_us: int, memory: Memory, rng: Generator
     ) -> list[Outgoing]:
         """Return what becomes of the frame, and a report to its sender when one is due."""
         sends = super().outcome(frame, t_us, memory, rng)

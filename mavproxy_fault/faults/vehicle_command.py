@@ -66,10 +66,8 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
     do: VehicleAction | None = None
     height_m: Annotated[float, Meta(gt=0, lt=1e4)] = 10.0  # of a take-off, above the field
     number: int | None = None
-    params: Annotated[Parameters, Meta(max_length=7)] = ()
-    afterwards: Annotated[Parameters, Meta(max_length=7)] | None = (
-        None  # params of `number` sent when the entry ends
-    )
+    params: Parameters = ()
+    afterwards: Parameters | None = None  # params of `number` sent when the entry ends
 
     def __post_init__(self) -> None:
         if (self.do is None) == (self.number is None):

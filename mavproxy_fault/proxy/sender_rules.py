@@ -1,7 +1,7 @@
 """Rules by sender and arrival time: a frame's vehicle and link time, sequence gaps and routing.
 
 Each rule is defined once, on the flat array of `senders`. The core calls it directly, `compiled`
-compiles it; so the functions use only numbers and arrays, and none calls another.
+compiles it with those that it calls; so the functions use only numbers and arrays.
 """
 
 from collections.abc import MutableSequence, Sequence

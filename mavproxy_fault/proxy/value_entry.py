@@ -21,7 +21,7 @@ class ActiveValueEntry(ActiveEntry):
         self._whole = all(one.code not in "fd" for row in self._elements.values() for one in row)
 
     def count_frames(self, frames: int, saturated: int, magnitude: float) -> None:
-        """Add to the counts; a change of integers is written as one, whoever counted it."""
+        """Add to the counts; a change of integers is written as an integer, not as a float."""
         super().count_frames(frames, saturated, (int if self._whole else float)(magnitude))
 
     def edit(self, draft: Draft, direction: str, t_us: int) -> None:
