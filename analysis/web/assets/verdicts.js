@@ -32,7 +32,8 @@ class Verdicts {
   clear() {
     this.decision = null;
     this.sensors = new Map(); // the newest decision on each sensor
-    this.isolations = new Map(); // by sensor or satellite: since when, and the detectors that find it faulty
+    this.waiting = []; // decisions since the last update
+    this.isolations = new Map(); // by sensor or satellite: since when faulty and isolated, and the detectors that find so
     this.newest_us = this.came_us = -Infinity; // of the verdicts; of those not processed yet
     this.passed = null; // the newest verdict, and the vehicle's time at its arrival
     this.fresh = false; // there is something new to draw
@@ -40,20 +41,23 @@ class Verdicts {
   }
   addDecision(decision) {
     this.decision = decision;
-    this.find("satellites", partsOf(decision), decision.t_us, false);
+    this.waiting.push({ detector: "satellites", parts: partsOf(decision), t_us: decision.t_us, tested: false,
+      isolated: decision.hypothesis !== "multiple-unknown" });
   }
   // Tests have a statistic and report until they pass; stream monitors report only while something is wrong.
   addSensor(decision) {
     const { sensor, t_us, statistic, alarm, isolated } = decision, part = NAMES[sensor] || sensor;
     this.sensors.set(sensor, decision);
-    this.find(sensor, alarm || isolated ? [part] : [], t_us, statistic !== null || this.isolations.get(part)?.by.get(sensor)?.tested);
+    this.waiting.push({ detector: sensor, parts: alarm || isolated ? [part] : [], t_us, tested: statistic !== null, isolated });
   }
   // A detector finds these parts faulty, and no others.
-  find(detector, parts, t_us, tested) {
+  find({ detector, parts, t_us, tested, isolated }) {
     this.came_us = Math.max(this.came_us, t_us);
     for (const part of parts) {
-      if (!this.isolations.has(part)) this.isolations.set(part, { from_us: t_us, by: new Map() });
-      this.isolations.get(part).by.set(detector, { t_us, tested });
+      if (!this.isolations.has(part)) this.isolations.set(part, { from_us: t_us, isolated_us: null, by: new Map() });
+      const found = this.isolations.get(part);
+      if (isolated) found.isolated_us ??= t_us;
+      found.by.set(detector, { t_us, tested: tested || found.by.get(detector)?.tested });
     }
     const over = [...this.isolations].filter(([part, { by }]) => !parts.includes(part) && by.delete(detector) && !by.size);
     this.end(over, t_us, AGREES);
@@ -84,6 +88,9 @@ class Verdicts {
   }
   // To be called after each batch: without reports an isolation ends some time after the last detection.
   update() {
+    // The monitor's streams come one after the other: in the order of time, and a sensor's finding before the end of one.
+    const order = (a, b) => a.t_us - b.t_us || (a.detector === "satellites") - (b.detector === "satellites");
+    for (const one of this.waiting.splice(0).sort(order)) this.find(one);
     if (!this.advance()) return;
     for (const entry of this.isolations) {
       const { by } = entry[1];
@@ -96,17 +103,19 @@ class Verdicts {
     }
   }
   end(over, t_us, reason) {
-    for (const [from_us, entries] of Map.groupBy(over, ([, { from_us }]) => from_us)) {
-      const parts = entries.map(([part]) => part), [from, to] = [from_us, t_us].map((one_us) => store.seconds(one_us).toFixed(1));
+    const since = ([, { from_us, isolated_us }]) => isolated_us ?? from_us;
+    for (const [from_us, entries] of Map.groupBy(over, since)) {
+      const parts = entries.map(([part]) => part), [from_s, to_s] = [from_us, t_us].map((one_us) => store.seconds(one_us));
       for (const part of parts) this.isolations.delete(part);
-      this.ended = `${describeFault(parts)} from ${from} to ${to} s; ${this.endedFault(t_us) || reason}`;
-      addEvent(t_us, `isolation ended: ${this.ended}`, "done");
+      const what = entries.some(([, { isolated_us }]) => isolated_us !== null) ? "isolation" : "alarm";
+      this.ended = `${describeFault(parts)} from ${from_s.toFixed(1)} to ${to_s.toFixed(1)} s; ${this.endedFault(from_s, to_s) || reason}`;
+      addEvent(t_us, `${what} ended: ${this.ended}`, "done");
     }
   }
-  endedFault(t_us) {
-    const t_s = store.seconds(t_us);
-    const ended = [...faultIntervals].filter(([, [, end]]) => end !== null && end <= t_s && end > t_s - WHY_S).at(-1);
-    return ended && `${ended[0].replace(/ \d+$/, "")} ended at ${ended[1][1].toFixed(1)} s`;
+  // The last fault that began before an isolation did explains its end, unless it still acts.
+  endedFault(from_s, to_s) {
+    const [id, [, end_s]] = [...faultIntervals].filter(([, [begin]]) => begin <= from_s).at(-1) ?? ["", [0, null]];
+    return end_s !== null && end_s <= to_s && end_s > to_s - WHY_S && `${id.replace(/ \d+$/, "")} ended at ${end_s.toFixed(1)} s`;
   }
 }
 

@@ -315,6 +315,41 @@ def test_each_sensor_has_the_interval_of_its_own_decisions(page: Any, loop: Any)
     ]  # fmt: skip
 
 
+STREAMS = """() => {
+  const at = (t_s) => 1e9 + t_s * 1e6;
+  store.t0_us = 1e9;
+  const decide = (t_s, hypothesis) => showDecision({ t_us: at(t_s), statistic: 1, threshold: 2,
+    alarm: hypothesis !== "none", hypothesis, excluded: [], satellites: [], normalised: [] });
+  const sense = (t_s, sensor, statistic, alarm, isolated) => showSensor({ sensor, t_us: at(t_s),
+    statistic, threshold: statistic && 10, alarm, isolated });
+  const see = (t_s) => { store.newest_us = at(t_s); verdicts.update(); };
+  faultIntervals.set("ramp 1", [40, 55]);
+  sense(46, "baro", 20, true, false); see(46.2);
+  sense(46.4, "baro", 30, true, true); see(46.6);
+  sense(65.2, "baro", 1, false, false); see(65.4);
+  faultIntervals.set("silence 2", [70, null]);
+  decide(70.2, "imu"); decide(70.4, "none");  // one batch: the monitor's streams one by one
+  sense(70.2, "imu", null, true, true); see(70.6);
+  sense(71, "mag", 20, true, false); sense(71.2, "mag", 1, false, false); see(72);
+  sense(72.4, "imu", 1, false, false); see(73);
+  return [...$("events").children].map((one) => one.textContent)
+    .filter((text) => text.includes("ended: ")).map((text) => text.replace(/^.* s(?=iso|ala)/, ""))
+    .reverse();
+}"""
+
+
+def test_an_interval_is_that_of_the_isolation_and_ends_with_its_own_fault(
+    page: Any, loop: Any
+) -> None:
+    loop.steps_left = 0
+    assert page.evaluate(STREAMS) == [
+        "isolation ended: fault in barometer from 46.4 to 65.2 s; ramp ended at 55.0 s",
+        "alarm ended: fault in magnetometer from 71.0 to 71.2 s; "
+        "it is consistent with the others again",
+        "isolation ended: fault in IMU from 70.2 to 72.4 s; it is consistent with the others again",
+    ]
+
+
 def test_a_finding_that_is_not_repeated_ends(page: Any, loop: Any) -> None:
     # A stream monitor reports only silence, never that the stream is back.
     loop.steps_left = 0
