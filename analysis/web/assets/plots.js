@@ -17,7 +17,7 @@ function shownRange() {
 function plotAxes() {
   const common = { stroke: () => colour("--faint"), grid: { stroke: () => colour("--grid"), width: 1 },
     ticks: { stroke: () => colour("--grid"), width: 1 }, font: "12px system-ui, sans-serif" };
-  return [{ ...common, size: 28, values: (u, ticks) => ticks.map((t) => `${+t.toFixed(3)} s`) }, { ...common, size: 56 }];
+  return [{ ...common, size: 28, values: (u, ticks) => ticks.map((t) => `${+t.toFixed(3)} s`) }, { ...common, size: 66 }];
 }
 
 const logRange = (decades) => (u, min, max) => {
