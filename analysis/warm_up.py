@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 from analysis import commands
 from analysis.processes import spawn_context
+from mavproxy_fault.app.command_parser import add_option
 from mavproxy_fault.documents.errors import ConfigError
 
 SENSORS = """
@@ -76,9 +77,8 @@ class Step(NamedTuple):
 def add_warm_up(subparsers: Any) -> None:
     """`warm-up`: compile now what commands would compile at first use."""
     parser = subparsers.add_parser("warm-up", help="compile all kernels now, once")
-    parser.add_argument(
-        "--portable", metavar="DIR", help="compile into DIR, for all processors that wheels support"
-    )
+    help = "compile into DIR, for all processors that wheels support"
+    add_option(parser, "--portable DIR", help)
     parser.set_defaults(main=main)
 
 

@@ -34,6 +34,33 @@ def positive_count(text: str) -> int:
     return int(text)
 
 
+def add_option(parser: Any, written: str, help: str, **keys: Any) -> Any:
+    """Add an option to a parser or a group and return its action.
+
+    Parameters
+    ----------
+    written : str
+        As the usage writes it: `--to EP...` is repeatable, `--busy-poll` a flag, and
+        `--out --logdir DIR` one option with two names. With `choices` it has no metavar.
+    """
+    names = [word for word in written.split() if word.startswith("--")]
+    metavar = written.split()[len(names) :]
+    if metavar:
+        keys["metavar"] = metavar[0].removesuffix("...")
+        if metavar[0].endswith("..."):
+            keys |= {"action": "append", "default": []}
+            help += "; repeatable" * ("repeatable" not in help)
+    elif "choices" not in keys:
+        keys.setdefault("action", "store_true")
+    return parser.add_argument(*names, help=help, **keys)
+
+
+def add_json(*parsers: argparse.ArgumentParser) -> None:
+    """Add the option `--json` of commands that print a result."""
+    for parser in parsers:
+        add_option(parser, "--json", "print the result as JSON")
+
+
 class CommandParser(argparse.ArgumentParser):
     """A parser that suggests corrections; its subparsers, also of plugins, are of this class."""
 

@@ -14,12 +14,6 @@ if TYPE_CHECKING:
 LOG_WIDTH = 1000  # chosen: longer than any row, so that no table is cut in a file or a CI log
 
 
-def add_json(*parsers: argparse.ArgumentParser) -> None:
-    """Add the option `--json` of commands that print a result."""
-    for parser in parsers:
-        parser.add_argument("--json", action="store_true", help="print the result as JSON")
-
-
 def print_result(args: argparse.Namespace, data: object, show: str | Callable[[], None]) -> None:
     """Print a result as JSON if the command line asks for it, otherwise the text or by `show`."""
     if getattr(args, "json", False):
