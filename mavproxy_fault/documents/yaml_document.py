@@ -9,8 +9,7 @@ aliases keep a hostile text from exhausting stack, memory or time.
 """
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple, NoReturn
 
@@ -99,9 +98,9 @@ def read_yaml(text: str, where: str) -> Document:
     """
     if len(text) > MOST_BYTES:
         raise ConfigError(f"{where}: is too large; at most {MOST_BYTES >> 20} MB are read")
-    builder = _Builder(where)
+    builder = _Builder(where, yaml.parse(text, yaml.CSafeLoader))
     try:
-        builder.build(yaml.parse(text, yaml.CSafeLoader))
+        data = builder.build()
     except yaml.YAMLError as error:
         # Some parser errors have no mark, for example for invalid characters.
         mark = getattr(error, "problem_mark", None)
@@ -116,7 +115,7 @@ def read_yaml(text: str, where: str) -> Document:
         raise ConfigError(f"{where}{line}: not YAML: {problem}; {advice}") from None
     except UnicodeEncodeError:  # half a surrogate pair, which UTF-8 cannot encode
         raise ConfigError(f"{where}: is not UTF-8 text; give YAML in UTF-8") from None
-    document = Document(builder.data, where, builder.lines)
+    document = Document(data, where, builder.lines)
     if builder.flaws:
         raise FlawedDocumentError(document, builder.flaws)
     return document
@@ -166,76 +165,34 @@ def parse_scalar(text: str) -> Any:
     return text
 
 
-@dataclass(slots=True)
-class _Open:
-    """An unfinished list or mapping; `key` waits for its value."""
-
-    path: Path
-    items: Any
-    anchor: str | None
-    began: int
-    key: str | None = None
-
-
 class _Builder:
-    """Builds data from the parser's events without recursion, and counts the values."""
+    """Builds data from the parser's events, and counts the values."""
 
-    def __init__(self, where: str) -> None:
+    def __init__(self, where: str, events: Iterator[Any]) -> None:
         self.where = where
-        self.data: Any = None
         self.lines: Lines = {}
         self.flaws: list[Flaw] = []
-        self._unfinished: list[_Open] = []
+        self._events = events
         self._anchors: dict[str, tuple[Any, int]] = {}
         self._nodes = 0
-        self._documents = 0
 
-    def build(self, events: Iterable[Any]) -> None:
-        """Process all events of a text."""
-        for event in events:
+    def build(self) -> Any:
+        """Return the data of the text; None if it is empty."""
+        data, documents = None, 0
+        for event in self._events:
             if isinstance(event, yaml.NodeEvent):
-                self._node(event)
-            elif isinstance(event, yaml.SequenceEndEvent | yaml.MappingEndEvent):
-                done = self._unfinished.pop()
-                self._store_anchor(done.anchor, done.items, self._nodes - done.began)
+                data = self._value(event, ())
             elif isinstance(event, yaml.DocumentStartEvent):
-                self._documents += 1
-                if self._documents > 1:
+                documents += 1
+                if documents > 1:
                     self._refuse(event, "begins a second document; only one is allowed")
-
-    def _node(self, event: Any) -> None:
-        self._nodes += 1
-        if self._nodes > MOST_NODES:
-            self._refuse(event, f"has more than {MOST_NODES} values; split the file")
-        parent = self._unfinished[-1] if self._unfinished else None
-        # In a mapping, keys and values alternate.
-        if parent is not None and isinstance(parent.items, dict) and parent.key is None:
-            self._key(event, parent)
-            return
-        path = _path_below(parent)
-        # Keys already have a line; items and the root get theirs here.
-        self.lines.setdefault(path, self._line(event))
-        value = self._value(event, path)
-        if parent is None:
-            self.data = value
-        elif isinstance(parent.items, list):
-            parent.items.append(value)
-        else:
-            parent.items[parent.key] = value
-            parent.key = None
-
-    def _key(self, event: Any, parent: _Open) -> None:
-        if not isinstance(event, yaml.ScalarEvent):
-            self._refuse(event, "has a list or mapping as a key; use a plain key")
-        self._refuse_tag(event)
-        line = self._line(event)
-        if event.value in parent.items:
-            path = (*parent.path, event.value)
-            self._add_flaw(event, path, f"{event.value} is given twice; give each key once")
-        parent.key = event.value
-        self.lines[(*parent.path, event.value)] = line
+        return data
 
     def _value(self, event: Any, path: Path) -> Any:
+        """Return the value that begins with an event."""
+        self._count(event)
+        # The values of keys already have a line; items and the root get theirs here.
+        self.lines.setdefault(path, self._line(event))
         if isinstance(event, yaml.AliasEvent):
             if event.anchor not in self._anchors:
                 self._refuse(event, f"*{event.anchor} contains itself or is not defined above")
@@ -244,27 +201,49 @@ class _Builder:
             self._nodes += size
             return value
         self._refuse_tag(event)
-        if isinstance(event, yaml.ScalarEvent):
-            value = event.value
-            # A quoted or block scalar is always text.
-            if not event.style:
-                try:
-                    value = parse_scalar(event.value)
-                except ValueError as error:
-                    self._add_flaw(event, path, f"{format_path(path)} {error}".lstrip())
-            self._store_anchor(event.anchor, value, 1)
-            return value
-        if len(self._unfinished) == DEEPEST:
-            self._refuse(event, TOO_DEEP)
-        items: Any = [] if isinstance(event, yaml.SequenceStartEvent) else {}
         # An anchor is undefined within itself: a value cannot contain itself.
         self._anchors.pop(event.anchor, None)
-        self._unfinished.append(_Open(path, items, event.anchor, self._nodes))
-        return items
+        before = self._nodes
+        if isinstance(event, yaml.ScalarEvent):
+            value = self._scalar(event, path)
+        elif len(path) == DEEPEST:
+            self._refuse(event, TOO_DEEP)
+        elif isinstance(event, yaml.SequenceStartEvent):
+            value = []
+            while not isinstance(item := next(self._events), yaml.SequenceEndEvent):
+                value.append(self._value(item, (*path, len(value))))
+        else:
+            value = {}
+            while not isinstance(key := next(self._events), yaml.MappingEndEvent):
+                self._key(key, path, value)
+                value[key.value] = self._value(next(self._events), (*path, key.value))
+        if event.anchor is not None:
+            self._anchors[event.anchor] = value, self._nodes - before
+        return value
 
-    def _store_anchor(self, anchor: str | None, value: Any, size: int) -> None:
-        if anchor is not None:
-            self._anchors[anchor] = value, size
+    def _count(self, event: Any) -> None:
+        self._nodes += 1
+        if self._nodes > MOST_NODES:
+            self._refuse(event, f"has more than {MOST_NODES} values; split the file")
+
+    def _key(self, event: Any, path: Path, items: dict[str, Any]) -> None:
+        self._count(event)
+        if not isinstance(event, yaml.ScalarEvent):
+            self._refuse(event, "has a list or mapping as a key; use a plain key")
+        self._refuse_tag(event)
+        here = (*path, event.value)
+        if event.value in items:
+            self._add_flaw(event, here, f"{event.value} is given twice; give each key once")
+        self.lines[here] = self._line(event)
+
+    def _scalar(self, event: Any, path: Path) -> Any:
+        # A quoted or block scalar is always text.
+        if not event.style:
+            try:
+                return parse_scalar(event.value)
+            except ValueError as error:
+                self._add_flaw(event, path, f"{format_path(path)} {error}".lstrip())
+        return event.value
 
     def _refuse_tag(self, event: Any) -> None:
         if event.tag is not None:
@@ -282,16 +261,6 @@ class _Builder:
 
     def _refuse(self, event: Any, text: str) -> NoReturn:
         raise ConfigError(f"{self.where}:{self._line(event)}: {text}")
-
-
-def _path_below(parent: _Open | None) -> Path:
-    """Return the path of the next value in a list or mapping."""
-    if parent is None:
-        return ()
-    if isinstance(parent.items, list):
-        return (*parent.path, len(parent.items))
-    assert parent.key is not None
-    return (*parent.path, parent.key)
 
 
 def format_path(path: Path) -> str:
