@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +10,11 @@ from numpy.typing import NDArray
 from analysis.estimators import Prior, make_estimator
 from analysis.estimators.complementary import Mahony
 from analysis.estimators.ekf import Ekf
+from analysis.search.evaluation.evaluator import (
+    EvaluationOutcome,
+    Evaluator,
+    average_draws,
+)
 from analysis.search.evaluation.traced_flight import (
     FlightTrace,
     estimate_attitude,
@@ -55,37 +59,14 @@ FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
 # The number of the kernel without a filter, for flights scored in Python.
 HEUN = 0
 INVERTED_CRITERIA = {"height": HEIGHT, "airspeed": AIRSPEED, "position": POSITION}
+NO_TRACE = np.empty((0, 0))
 NO_AERO = Aero(*[0.0] * len(Aero._fields))
 KERNELS = dict(zip(COMPILED_ESTIMATORS, (HEUN, MAHONY, MAHONY, EKF), strict=True))
 
 
-class EvaluationOutcome(NamedTuple):
-    """The results of n evaluations.
-
-    `fitness` (n,) is the criterion in its unit (`TestFile.unit`), or, where the flight left the
-    envelope, minus the share of the time that remained (-1 to 0); `spread_deg` (n,) is its standard
-    deviation over the noise draws. `rmse_deg` and `largest_deg` (n, 4): roll, pitch, yaw, angle (in
-    the kernels 0 unless the criterion is the angle), means over the noise draws. `lasted_s` (n,);
-    `broken_limit` (n,) indices into `rows.LIMITS`; `steps` flown and scored in total.
-    `inverted_rmse` (n, 3): height [m], airspeed [m/s] and position [m] of the inverted sensor
-    models, where the criterion is one of them.
-    """
-
-    fitness: Array
-    spread_deg: Array
-    rmse_deg: Array
-    largest_deg: Array
-    lasted_s: Array
-    broken_limit: NDArray[np.int64]
-    steps: int
-    inverted_rmse: Array
-
-
 @dataclass(frozen=True)
-class Batch:
+class Batch(Evaluator):
     """Evaluates a test by compiled kernels; the same points, seed and numbers, the same outcome."""
-
-    test: TestFile
 
     @cached_property
     def airframe(self) -> Airframe:
@@ -103,16 +84,6 @@ class Batch:
         """The kernel's parameters common to all flights."""
         return plan_of(self.test, self.airframe)
 
-    def evaluate(
-        self, points: Array, seed: int, first: int, draws: int | None = None
-    ) -> EvaluationOutcome:
-        """Fly points (n, d) of the unit cube, each with its own noise.
-
-        `first` is the number of the first evaluation: seed and number determine the noise.
-        """
-        draws = self.test.noise_draws if draws is None else draws
-        return self.evaluate_values(self.space.values(points), seed, first, draws)
-
     def evaluate_values(
         self,
         values: Mapping[str, Array],
@@ -121,31 +92,15 @@ class Batch:
         draws: int,
         same_noise: bool = False,
     ) -> EvaluationOutcome:
-        """Fly values (n,) by name, `draws` times each; with the same noise for all if `same_noise`.
-
-        Without gusts noise does not move the aircraft: of many flights, those that leave the
-        envelope are flown only once.
-        """
+        """Fly values as the contract says, each draw of each evaluation with its own number."""
         flights = self.columns(values)
         count = flights.shape[1]
-        # Each draw of each evaluation has its own number: splitting the work changes nothing.
+        # By their numbers, splitting the work changes nothing.
         numbers = first * draws + np.arange(count * draws).reshape(count, draws)
         if same_noise:
             numbers = np.broadcast_to(numbers[0], numbers.shape)
-        # For few flights this does not pay; with gusts each draw is another flight.
-        if count < 2 * rows.LANES or draws == 1 or self.plan.gusts:
-            columns = self._fly_columns(np.repeat(flights, draws, axis=1), seed, numbers.ravel())
-            columns = columns.reshape(rows.ROWS, count, draws)
-            return outcome_of(columns, self.test)
-        once = self._fly_columns(flights, seed, numbers[:, 0])
-        columns = np.repeat(once[:, :, None], draws, axis=2)
-        # Only flights within the envelope have a fitness that depends on the noise.
-        stays = once[rows.BROKEN_LIMIT] == 0.0
-        if stays.any():
-            rest = np.repeat(flights[:, stays], draws - 1, axis=1)
-            again = self._fly_columns(rest, seed, numbers[stays, 1:].ravel())
-            columns[:, stays, 1:] = again.reshape(rows.ROWS, -1, draws - 1)
-        return outcome_of(columns, self.test)
+        columns = self._fly_columns(np.repeat(flights, draws, axis=1), seed, numbers.ravel())
+        return outcome_of(columns.reshape(rows.ROWS, count, draws), self.test)
 
     def columns(self, values: Mapping[str, Array]) -> Array:
         """Values (n,) by name as columns (ROWS, n) for the kernel."""
@@ -157,7 +112,7 @@ class Batch:
         noise = np.ones((GENERATORS, columns.shape[1]), dtype=np.uint64)
         noise[:, : len(numbers)] = streams(seed, numbers)
         filters = start_filters(self.test.estimator, columns)
-        fly(columns, filters, noise, self.plan)
+        fly(columns, filters, noise, self.plan, NO_TRACE)
         if self.test.estimator not in COMPILED_ESTIMATORS:
             for lane in np.flatnonzero(columns[rows.BROKEN_LIMIT, : len(numbers)] == 0.0):
                 # From the initial column: the kernel has overwritten its copy.
@@ -298,29 +253,22 @@ def outcome_of(columns: Array, test: TestFile) -> EvaluationOutcome:
     # A flight may leave the envelope before its first sample is scored.
     safe = np.maximum(count, 1.0)
     rmse = np.degrees(np.sqrt(columns[rows.SQUARES : rows.SQUARES + 4] / safe))
-    largest = np.degrees(columns[rows.LARGEST : rows.LARGEST + 4])
-    # One limit for all draws: one violation is enough.
-    limit = columns[rows.BROKEN_LIMIT].max(axis=1).astype(np.int64)
-    lasted = np.minimum(count.min(axis=1) * test.dt_s / (test.duration_s + test.dt_s), 1.0)
-    state = columns[rows.STATE_SQUARES : rows.STATE_SQUARES + 12] / safe
-    worst = {
-        "euler": lambda: rmse[:3].max(axis=0),
-        "angle": lambda: rmse[3],
-        "state": lambda: np.sqrt((state / squares_of(test.state_scales)).mean(axis=0)),
-    }.get(test.criterion, lambda: inverted_rmse(columns)[INVERTED_CRITERIA[test.criterion]])()
-    # From -1 to 0: longer flights score better, which leads a search back into the envelope.
-    fitness = np.where(limit > 0, lasted - 1.0, worst.mean(axis=1))
-    return EvaluationOutcome(
-        # An estimator that diverges to NaN cannot be ranked.
-        np.nan_to_num(fitness, nan=-1.0),
-        worst.std(axis=1),
-        rmse.mean(axis=2).T,
-        largest.mean(axis=2).T,
-        lasted * test.duration_s,
-        limit,
-        # A flight that left the envelope is flown once, whatever the number of draws.
-        int(np.where(limit > 0, count.max(axis=1), count.sum(axis=1)).sum()),
-        inverted_rmse(columns).mean(axis=2).T,
+    inverted = inverted_rmse(columns)
+    if test.criterion == "state":
+        state = columns[rows.STATE_SQUARES : rows.STATE_SQUARES + 12] / safe
+        worst = np.sqrt((state / squares_of(test.state_scales)).mean(axis=0))
+    elif test.criterion in INVERTED_CRITERIA:
+        worst = inverted[INVERTED_CRITERIA[test.criterion]]
+    else:
+        worst = rmse[3] if test.criterion == "angle" else rmse[:3].max(axis=0)
+    return average_draws(
+        worst,
+        np.moveaxis(rmse, 0, -1),
+        np.degrees(np.moveaxis(columns[rows.LARGEST : rows.LARGEST + 4], 0, -1)),
+        columns[rows.BROKEN_LIMIT],
+        count * test.dt_s / (test.duration_s + test.dt_s),
+        int(count.sum()),
+        np.moveaxis(inverted, 0, -1),
     )
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flying.worker_pool import WorkerPool, run_jobs
-from analysis.search.evaluation.compiled_batch import EvaluationOutcome
-from analysis.search.evaluation.evaluator import Evaluator, make_evaluator
+from analysis.search.evaluation.evaluator import EvaluationOutcome, Evaluator, make_evaluator
 from analysis.search.space.test_file import TestFile
 
 

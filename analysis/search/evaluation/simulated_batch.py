@@ -17,7 +17,11 @@ from analysis.run.proxied_flight import ProxiedFlight
 from analysis.samples.decoder import Decoder
 from analysis.scoring.attitude_scores import AXES
 from analysis.scoring.attitude_scoring import AttitudeConfig, AttitudeScorer
-from analysis.search.evaluation.compiled_batch import EvaluationOutcome
+from analysis.search.evaluation.evaluator import (
+    EvaluationOutcome,
+    Evaluator,
+    average_draws,
+)
 from analysis.search.evaluation.violation import fly_violation
 from analysis.search.lanes.noise_kernel import seed_of
 from analysis.search.space.airframe import has_rotors, read_airframe, trim_values
@@ -74,10 +78,8 @@ class FlightScorer:
 
 
 @dataclass(frozen=True)
-class SimulatedBatch:
+class SimulatedBatch(Evaluator):
     """Evaluates a test in the simulator, one flight at a time; `Batch` uses compiled kernels."""
-
-    test: TestFile
 
     @cached_property
     def space(self) -> Space:
@@ -91,13 +93,6 @@ class SimulatedBatch:
             entries = flight_entries(self.test, trim)
         return space_of(entries | fault_entries(self.test))
 
-    def evaluate(
-        self, points: Array, seed: int, first: int, draws: int | None = None
-    ) -> EvaluationOutcome:
-        """Fly points (n, d) of the unit cube; `first` is the number of the first evaluation."""
-        draws = self.test.noise_draws if draws is None else draws
-        return self.evaluate_values(self.space.values(points), seed, first, draws)
-
     def evaluate_values(
         self,
         values: Mapping[str, Array],
@@ -106,8 +101,7 @@ class SimulatedBatch:
         draws: int,
         same_noise: bool = False,
     ) -> EvaluationOutcome:
-        """Fly values (n,) by name, `draws` times each; with the same noise for all if
-        `same_noise`."""
+        """Fly values as the contract says."""
         # All values have one row per flight.
         count = len(next(iter(values.values())))
         flights = []
@@ -208,18 +202,8 @@ def envelope_violation(truth: Truth, limits: FlightEnvelope, hovers: bool) -> in
 
 def outcome_of(flights: Sequence[Sequence[FlightScores]], test: TestFile) -> EvaluationOutcome:
     """The outcome of n evaluations with some draws each."""
-    rmse = np.array([[scores.rmse_deg for scores in draws] for draws in flights])
-    largest = np.array([[scores.largest_deg for scores in draws] for draws in flights])
-    worst = rmse[:, :, 3] if test.criterion == "angle" else rmse[:, :, :3].max(axis=2)
-    limit = np.array([max(scores.broken_limit for scores in draws) for draws in flights])
-    lasted = np.array([min(scores.lasted_s for scores in draws) for draws in flights])
-    return EvaluationOutcome(
-        np.where(limit > 0, np.minimum(lasted / test.duration_s, 1.0) - 1.0, worst.mean(axis=1)),
-        worst.std(axis=1),
-        rmse.mean(axis=1),
-        largest.mean(axis=1),
-        lasted,
-        limit,
-        sum(scores.steps for draws in flights for scores in draws),
-        np.zeros((len(flights), 3)),
+    rmse, largest, lasted_s, limit, steps = (
+        np.array([[scores[i] for scores in draws] for draws in flights]) for i in range(5)
     )
+    worst = rmse[:, :, 3] if test.criterion == "angle" else rmse[:, :, :3].max(axis=2)
+    return average_draws(worst, rmse, largest, limit, lasted_s / test.duration_s, int(steps.sum()))

@@ -11,7 +11,7 @@ from analysis.samples.sample import AirspeedSample, GpsFix, ImuSample, MagSample
 from analysis.search.lanes import rows
 from analysis.search.lanes.filter_lanes import MAHONY
 from analysis.search.lanes.noise_kernel import streams
-from analysis.search.lanes.search_kernel import Plan, trace
+from analysis.search.lanes.search_kernel import Plan, fly
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from mavproxy_fault.numerics.rotations.rotation_kernel import attitude_errors
 
@@ -53,7 +53,8 @@ def trace_flight(plan: Plan, flight: Array, filters: Array, seed: int, number: i
     # The kernel flies one flight per lane: the same in each.
     lanes = np.ascontiguousarray(np.repeat(flight[:, None], rows.LANES, axis=1))
     noise = np.repeat(streams(seed, np.array([number])), rows.LANES, axis=1)
-    out = trace(lanes, np.repeat(filters[None, :], rows.LANES, axis=0), noise, plan)
+    out = np.empty((plan.steps + 1, 13 + rows.CHANNELS + 14))
+    fly(lanes, np.repeat(filters[None, :], rows.LANES, axis=0), noise, plan, out)
     state, measured, estimate, q, alive = np.split(
         out, np.cumsum([13, rows.CHANNELS, 9, 4]), axis=1
     )

@@ -3,16 +3,23 @@
 import numpy as np
 
 from analysis.search.lanes import rows
-from analysis.search.lanes.lane_state import Buffer, air_velocity, true_attitude, true_velocity
+from analysis.search.lanes.lane_state import (
+    NOW,
+    Buffer,
+    Three,
+    air_velocity,
+    put_three,
+    three_at,
+    true_attitude,
+)
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
+from simvehicle.vehicles.rigidbody_kernel import U
 
 L = rows.LANES
 N = rows.NOISE * L
 B, V, P = rows.FIELD * L, rows.VELOCITY * L, rows.DIFF_PRESSURE * L
 BS, VS, PS = rows.FIELD_SIGMA * L, rows.VELOCITY_SIGMA * L, rows.PRESSURE_SIGMA * L
-
-Three = tuple[float, float, float]
 
 
 @compiled
@@ -21,10 +28,8 @@ def sense_field(buf: Buffer, field_ned: Three) -> None:
     for lane in range(L):
         e0, e1, e2, e3 = true_attitude(buf, lane)
         x, y, z = to_body(e0, e1, e2, e3, field_ned[0], field_ned[1], field_ned[2])
-        sigma = buf[BS + lane]
-        buf[B + lane] = x + sigma * buf[N + lane]
-        buf[B + L + lane] = y + sigma * buf[N + L + lane]
-        buf[B + 2 * L + lane] = z + sigma * buf[N + 2 * L + lane]
+        sigma, (a, b, c) = buf[BS + lane], three_at(buf, N, lane)
+        put_three(buf, B, lane, (x + sigma * a, y + sigma * b, z + sigma * c))
 
 
 @compiled
@@ -32,12 +37,10 @@ def sense_velocity(buf: Buffer) -> None:
     """Velocity over ground, NED, with noise numbers 3 to 5."""
     for lane in range(L):
         e0, e1, e2, e3 = true_attitude(buf, lane)
-        u, v, w = true_velocity(buf, lane)
+        u, v, w = three_at(buf, NOW + U * L, lane)
         north, east, down = to_ned(e0, e1, e2, e3, u, v, w)
-        sigma = buf[VS + lane]
-        buf[V + lane] = north + sigma * buf[N + 3 * L + lane]
-        buf[V + L + lane] = east + sigma * buf[N + 4 * L + lane]
-        buf[V + 2 * L + lane] = down + sigma * buf[N + 5 * L + lane]
+        sigma, (a, b, c) = buf[VS + lane], three_at(buf, N + 3 * L, lane)
+        put_three(buf, V, lane, (north + sigma * a, east + sigma * b, down + sigma * c))
 
 
 @compiled

@@ -1,8 +1,8 @@
 """The inverse-sensor-model estimator over lanes, by its own step."""
 
-from analysis.estimators.inverse_model import Nine, Three, heun_step
+from analysis.estimators.inverse_model import heun_step
 from analysis.search.lanes import rows
-from analysis.search.lanes.lane_state import Buffer
+from analysis.search.lanes.lane_state import Buffer, Three, put_three, three_at
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotations.rotation_lanes import quaternion_of_euler
@@ -17,27 +17,9 @@ Q = rows.QUATERNION * L
 
 
 @inlined
-def estimate_at(buf: Buffer, lane: int) -> Nine:
-    """The estimate of one lane before the step."""
-    return (
-        buf[ANGLES + lane],
-        buf[ANGLES + L + lane],
-        buf[ANGLES + 2 * L + lane],
-        buf[VELOCITY + lane],
-        buf[VELOCITY + L + lane],
-        buf[VELOCITY + 2 * L + lane],
-        buf[POSITION + lane],
-        buf[POSITION + L + lane],
-        buf[POSITION + 2 * L + lane],
-    )
-
-
-@inlined
 def imu_at(buf: Buffer, row: int, lane: int) -> tuple[Three, Three]:
     """Rates and specific force of a sample that begins at the offset `row`."""
-    gyro = (buf[row + lane], buf[row + L + lane], buf[row + 2 * L + lane])
-    force = row + ACCEL
-    return gyro, (buf[force + lane], buf[force + L + lane], buf[force + 2 * L + lane])
+    return three_at(buf, row, lane), three_at(buf, row + ACCEL, lane)
 
 
 @compiled
@@ -45,13 +27,12 @@ def heun(buf: Buffer, dt: float) -> None:
     """One step from the samples BEFORE to the samples MEASURED."""
     wide()
     for lane in range(L):
-        x = estimate_at(buf, lane)
         before, after = imu_at(buf, B, lane), imu_at(buf, M, lane)
-        roll, pitch, yaw, u, v, w, north, east, down = heun_step(x, before, after, dt)
-        buf[ANGLES + lane], buf[ANGLES + L + lane], buf[ANGLES + 2 * L + lane] = roll, pitch, yaw
-        buf[VELOCITY + lane], buf[VELOCITY + L + lane], buf[VELOCITY + 2 * L + lane] = u, v, w
-        buf[POSITION + lane], buf[POSITION + L + lane] = north, east
-        buf[POSITION + 2 * L + lane] = down
+        motion = three_at(buf, ANGLES, lane) + three_at(buf, VELOCITY, lane)
+        x = heun_step(motion + three_at(buf, POSITION, lane), before, after, dt)
+        put_three(buf, ANGLES, lane, x[:3])
+        put_three(buf, VELOCITY, lane, x[3:6])
+        put_three(buf, POSITION, lane, x[6:])
 
 
 @compiled
@@ -59,10 +40,9 @@ def attitudes(buf: Buffer) -> None:
     """QUATERNION from the Euler angles of ESTIMATE."""
     wide()
     for lane in range(L):
-        roll, pitch, yaw = buf[ANGLES + lane], buf[ANGLES + L + lane], buf[ANGLES + 2 * L + lane]
-        e0, e1, e2, e3 = quaternion_of_euler(roll, pitch, yaw)
-        buf[Q + lane], buf[Q + L + lane] = e0, e1
-        buf[Q + 2 * L + lane], buf[Q + 3 * L + lane] = e2, e3
+        roll, pitch, yaw = three_at(buf, ANGLES, lane)
+        e0, e1, e2, buf[Q + 3 * L + lane] = quaternion_of_euler(roll, pitch, yaw)
+        put_three(buf, Q, lane, (e0, e1, e2))
 
 
 @compiled

@@ -14,26 +14,8 @@ from analysis.search.lanes.noise_kernel import gauss_pair, next_bits
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
-from simvehicle.vehicles.fixedwing.fixedwing_flight import AILERON, ELEVATOR, RUDDER, THROTTLE
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, WingInputs, state_derivative
-from simvehicle.vehicles.rigidbody_kernel import (
-    DOWN,
-    E0,
-    E1,
-    E2,
-    E3,
-    EAST,
-    NORTH,
-    Inertia,
-    P,
-    Q,
-    R,
-    State13,
-    U,
-    V,
-    W,
-    finish_step,
-)
+from simvehicle.vehicles.rigidbody_kernel import E0, E3, Inertia, P, State13, U, finish_step
 
 L = rows.LANES
 S = rows.STATE * L
@@ -50,6 +32,7 @@ ALIVE, BROKEN_LIMIT = rows.ALIVE * L, rows.BROKEN_LIMIT * L
 
 Buffer = NDArray[np.float64]
 Three = tuple[float, float, float]
+Four = tuple[float, float, float, float]
 World = tuple[float, float]  # gravity in m/s^2, density of the air in kg/m^3
 
 
@@ -63,92 +46,58 @@ def gather(buf: Buffer, first: int, count: int, lane: int) -> Buffer:
 
 
 @inlined
+def three_at(buf: Buffer, first: int, lane: int) -> Three:
+    """Three rows of one lane from the offset `first` on."""
+    # Written out, as a loop over a tuple would keep LLVM from making SIMD code of it.
+    return buf[first + lane], buf[first + L + lane], buf[first + 2 * L + lane]
+
+
+@inlined
+def four_at(buf: Buffer, first: int, lane: int) -> Four:
+    """Four rows of one lane from the offset `first` on."""
+    return three_at(buf, first, lane) + (buf[first + 3 * L + lane],)  # noqa: RUF005
+
+
+@inlined
+def put_three(buf: Buffer, first: int, lane: int, values: Three, new: bool = True) -> None:
+    """Write three rows of one lane from the offset `first` on, unless they are not `new`."""
+    x, y, z = values
+    buf[first + lane] = x if new else buf[first + lane]
+    buf[first + L + lane] = y if new else buf[first + L + lane]
+    buf[first + 2 * L + lane] = z if new else buf[first + 2 * L + lane]
+
+
+@inlined
 def state_at(buf: Buffer, lane: int) -> State13:
     """The state of one lane before the step."""
-    return (
-        buf[S + NORTH * L + lane],
-        buf[S + EAST * L + lane],
-        buf[S + DOWN * L + lane],
-        buf[S + U * L + lane],
-        buf[S + V * L + lane],
-        buf[S + W * L + lane],
-        buf[S + E0 * L + lane],
-        buf[S + E1 * L + lane],
-        buf[S + E2 * L + lane],
-        buf[S + E3 * L + lane],
-        buf[S + P * L + lane],
-        buf[S + Q * L + lane],
-        buf[S + R * L + lane],
-    )
+    motion = three_at(buf, S, lane) + three_at(buf, S + U * L, lane)
+    return motion + four_at(buf, S + E0 * L, lane) + three_at(buf, S + P * L, lane)
 
 
 @inlined
-def true_attitude(buf: Buffer, lane: int) -> tuple[float, float, float, float]:
+def true_attitude(buf: Buffer, lane: int) -> Four:
     """The quaternion when the sensors sampled."""
-    return (
-        buf[NOW + E0 * L + lane],
-        buf[NOW + E1 * L + lane],
-        buf[NOW + E2 * L + lane],
-        buf[NOW + E3 * L + lane],
-    )
-
-
-@inlined
-def true_velocity(buf: Buffer, lane: int) -> Three:
-    """The velocity over ground in body axes when the sensors sampled."""
-    return (buf[NOW + U * L + lane], buf[NOW + V * L + lane], buf[NOW + W * L + lane])
+    return four_at(buf, NOW + E0 * L, lane)
 
 
 @inlined
 def air_velocity(buf: Buffer, lane: int) -> Three:
     """The velocity through the air in body axes when the sensors sampled."""
     e0, e1, e2, e3 = true_attitude(buf, lane)
-    u, v, w = true_velocity(buf, lane)
-    north, east, down = buf[WIND + lane], buf[WIND + L + lane], buf[WIND + 2 * L + lane]
+    u, v, w = three_at(buf, NOW + U * L, lane)
+    north, east, down = three_at(buf, WIND, lane)
     x, y, z = to_body(e0, e1, e2, e3, north, east, down)
     return (u - x, v - y, w - z)
 
 
 @inlined
-def put_state(buf: Buffer, row: int, lane: int, state: State13) -> None:
-    """Write a state from the offset `row` on."""
-    # Written out, as a loop over a tuple would keep LLVM from making SIMD code of it.
-    north, east, down, u, v, w, e0, e1, e2, e3, p, q, r = state
-    buf[row + NORTH * L + lane] = north
-    buf[row + EAST * L + lane] = east
-    buf[row + DOWN * L + lane] = down
-    buf[row + U * L + lane] = u
-    buf[row + V * L + lane] = v
-    buf[row + W * L + lane] = w
-    buf[row + E0 * L + lane] = e0
-    buf[row + E1 * L + lane] = e1
-    buf[row + E2 * L + lane] = e2
-    buf[row + E3 * L + lane] = e3
-    buf[row + P * L + lane] = p
-    buf[row + Q * L + lane] = q
-    buf[row + R * L + lane] = r
-
-
-@inlined
-def chosen(first: bool, one: State13, other: State13) -> State13:
-    """The state `one` if `first`, else the state `other`."""
-    n, e, d, u, v, w, e0, e1, e2, e3, p, q, r = one
-    n_, e_, d_, u_, v_, w_, e0_, e1_, e2_, e3_, p_, q_, r_ = other
-    return (
-        n if first else n_,
-        e if first else e_,
-        d if first else d_,
-        u if first else u_,
-        v if first else v_,
-        w if first else w_,
-        e0 if first else e0_,
-        e1 if first else e1_,
-        e2 if first else e2_,
-        e3 if first else e3_,
-        p if first else p_,
-        q if first else q_,
-        r if first else r_,
-    )
+def put_state(buf: Buffer, first: int, lane: int, state: State13, new: bool = True) -> None:
+    """Write a state from the offset `first` on, unless it is not `new`."""
+    put_three(buf, first, lane, state[:3], new)
+    put_three(buf, first + U * L, lane, state[3:6], new)
+    put_three(buf, first + E0 * L, lane, state[6:9], new)
+    buf[first + E3 * L + lane] = state[9] if new else buf[first + E3 * L + lane]
+    put_three(buf, first + P * L, lane, state[10:], new)
 
 
 class Envelope(NamedTuple):
@@ -203,12 +152,9 @@ def observe(
         dv - (p * w - r * u) - gy,
         dw - (q * u - p * v) - gz,
     )
-    buf[F + lane], buf[F + L + lane], buf[F + 2 * L + lane] = force
+    put_three(buf, F, lane, force)
     put_state(buf, NOW, lane, state)
-    wx, wy, wz = to_body(
-        e0, e1, e2, e3, buf[WIND + lane], buf[WIND + L + lane], buf[WIND + 2 * L + lane]
-    )
-    limit = broken(state, (u - wx, v - wy, w - wz), force, limits, hovers)
+    limit = broken(state, air_velocity(buf, lane), force, limits, hovers)
     was_alive = buf[ALIVE + lane] > 0.5
     alive: bool = was_alive & (limit < 0.5)
     buf[BROKEN_LIMIT + lane] = limit if was_alive else buf[BROKEN_LIMIT + lane]
@@ -226,18 +172,12 @@ def move(buf: Buffer, dt: float, world: World, body: Inertia, aero: Aero, limits
     gravity, density = world
     for lane in range(L):
         state = state_at(buf, lane)
-        controls = (
-            buf[C + ELEVATOR * L + lane],
-            buf[C + AILERON * L + lane],
-            buf[C + RUDDER * L + lane],
-            buf[C + THROTTLE * L + lane],
-        )
-        wind = (buf[WIND + lane], buf[WIND + L + lane], buf[WIND + 2 * L + lane])
+        controls, wind = four_at(buf, C, lane), three_at(buf, WIND, lane)
         given = WingInputs(controls, wind, (0.0, 0.0, gravity), density, body, aero)
         k1 = state_derivative(state, given)
         alive = observe(buf, lane, state, k1, gravity, limits, False)
         after = finish_step(state, k1, state_derivative, given, given, dt)
-        put_state(buf, S, lane, chosen(alive, after, state))
+        put_state(buf, S, lane, after, alive)
 
 
 @compiled

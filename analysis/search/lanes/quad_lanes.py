@@ -6,11 +6,13 @@ from analysis.search.lanes import rows
 from analysis.search.lanes.lane_state import (
     Buffer,
     Envelope,
+    Three,
     World,
-    chosen,
+    four_at,
     observe,
     put_state,
     state_at,
+    three_at,
 )
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled, inlined
@@ -37,8 +39,6 @@ C, M, T, W = rows.CONTROL * L, rows.MOTOR * L, rows.MISSION * L, rows.WIND * L
 START = rows.START_DOWN * L
 MOTORS = 4
 
-Three = tuple[float, float, float]
-
 
 class QuadModel(NamedTuple):
     """A quadrotor: coefficients, each rotor's place, turning and efficiency, and its feedback."""
@@ -59,7 +59,7 @@ def steer_quad(buf: Buffer, t_s: float, world: World, control: QuadParameters) -
         roll, pitch, _ = euler_of_quaternion(e0, e1, e2, e3)
         _, _, sink = to_ned(e0, e1, e2, e3, u, v, w)
         now = SwayFeedback(roll, pitch, (p, q, r), buf[START + lane] - down, -sink)
-        aim = (buf[T + L + lane], buf[T + 2 * L + lane], buf[T + 3 * L + lane])
+        aim = three_at(buf, T + L, lane)
         motors = sway_commands(now, aim, control, gravity, density / SEA_LEVEL_DENSITY_KGPM3, t_s)
         for i in range(MOTORS):
             buf[C + i * L + lane] = motors[i]
@@ -71,6 +71,17 @@ def _speed_after(speed: float, command: float, frame: Airframe, dt: float) -> fl
     wanted = frame.idle + (frame.full - frame.idle) * command
     lag = frame.spin_up_s if wanted > speed else frame.spin_down_s
     return wanted + (speed - wanted) * exp(-dt / lag)
+
+
+@inlined
+def _speeds_after(speeds: Four, commands: Four, frame: Airframe, dt: float) -> Four:
+    """The speeds of all motors after a time."""
+    return (
+        _speed_after(speeds[0], commands[0], frame, dt),
+        _speed_after(speeds[1], commands[1], frame, dt),
+        _speed_after(speeds[2], commands[2], frame, dt),
+        _speed_after(speeds[3], commands[3], frame, dt),
+    )
 
 
 class _RotorInputs(NamedTuple):
@@ -108,26 +119,14 @@ def move_quad(
     gravity, _ = world
     for lane in range(L):
         state = state_at(buf, lane)
-        wind = (buf[W + lane], buf[W + L + lane], buf[W + 2 * L + lane])
-        s0, s1 = buf[M + lane], buf[M + L + lane]
-        s2, s3 = buf[M + 2 * L + lane], buf[M + 3 * L + lane]
-        c0, c1 = buf[C + lane], buf[C + L + lane]
-        c2, c3 = buf[C + 2 * L + lane], buf[C + 3 * L + lane]
-        frame, half = model.frame, 0.5 * dt
-        first = (s0, s1, s2, s3)
-        middle = (
-            _speed_after(s0, c0, frame, half), _speed_after(s1, c1, frame, half),
-            _speed_after(s2, c2, frame, half), _speed_after(s3, c3, frame, half),
-        )  # fmt: skip
-        last = (
-            _speed_after(s0, c0, frame, dt), _speed_after(s1, c1, frame, dt),
-            _speed_after(s2, c2, frame, dt), _speed_after(s3, c3, frame, dt),
-        )  # fmt: skip
+        wind, first, wanted = three_at(buf, W, lane), four_at(buf, M, lane), four_at(buf, C, lane)
+        middle = _speeds_after(first, wanted, model.frame, 0.5 * dt)
+        last = _speeds_after(first, wanted, model.frame, dt)
         k1 = _rotor_rate(state, _RotorInputs(first, wind, world, body, model))
         alive = observe(buf, lane, state, k1, gravity, limits, True)
         half_way = _RotorInputs(middle, wind, world, body, model)
         end = _RotorInputs(last, wind, world, body, model)
         after = finish_step(state, k1, _rotor_rate, half_way, end, dt)
-        put_state(buf, rows.STATE * L, lane, chosen(alive, after, state))
+        put_state(buf, rows.STATE * L, lane, after, alive)
         for i in range(MOTORS):
             buf[M + i * L + lane] = last[i] if alive else first[i]

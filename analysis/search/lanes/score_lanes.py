@@ -4,7 +4,7 @@ import numpy as np
 
 from analysis.estimators.inverse_model import POSITION, VELOCITY
 from analysis.search.lanes import rows
-from analysis.search.lanes.lane_state import Buffer, true_attitude
+from analysis.search.lanes.lane_state import Buffer, four_at, put_three, three_at, true_attitude
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.polynomial import atan2
@@ -24,11 +24,7 @@ M, T = rows.MEASURED * L, rows.STATE_SQUARES * L
 def euler_of_quaternions(buf: Buffer) -> None:
     """The first three rows of ESTIMATE from QUATERNION."""
     for lane in range(L):
-        e0, e1 = buf[Q + lane], buf[Q + L + lane]
-        e2, e3 = buf[Q + 2 * L + lane], buf[Q + 3 * L + lane]
-        buf[E + lane], buf[E + L + lane], buf[E + 2 * L + lane] = euler_of_quaternion(
-            e0, e1, e2, e3
-        )
+        put_three(buf, E, lane, euler_of_quaternion(*four_at(buf, Q, lane)))
 
 
 @compiled
@@ -37,21 +33,13 @@ def score_euler(buf: Buffer) -> None:
     wide()
     for lane in range(L):
         alive = buf[ALIVE + lane] > 0.5
-        roll, pitch, yaw = euler_of_quaternion(*true_attitude(buf, lane))
-        roll = wrap_angle(buf[E + lane] - roll)
-        pitch = wrap_angle(buf[E + L + lane] - pitch)
-        yaw = wrap_angle(buf[E + 2 * L + lane] - yaw)
-        roll = roll if alive else 0.0
-        pitch = pitch if alive else 0.0
-        yaw = yaw if alive else 0.0
         buf[COUNT + lane] += 1.0 if alive else 0.0
-        buf[SQ + lane] += roll * roll
-        buf[SQ + L + lane] += pitch * pitch
-        buf[SQ + 2 * L + lane] += yaw * yaw
-        roll, pitch, yaw = abs(roll), abs(pitch), abs(yaw)
-        buf[LG + lane] = max(roll, buf[LG + lane])
-        buf[LG + L + lane] = max(pitch, buf[LG + L + lane])
-        buf[LG + 2 * L + lane] = max(yaw, buf[LG + 2 * L + lane])
+        true, found = euler_of_quaternion(*true_attitude(buf, lane)), three_at(buf, E, lane)
+        for i in range(3):
+            error = wrap_angle(found[i] - true[i])
+            error = error if alive else 0.0
+            buf[SQ + i * L + lane] += error * error
+            buf[LG + i * L + lane] = max(abs(error), buf[LG + i * L + lane])
 
 
 @compiled
@@ -60,9 +48,7 @@ def score_angle(buf: Buffer) -> None:
     wide()
     for lane in range(L):
         alive = buf[ALIVE + lane] > 0.5
-        e0, e1, e2, e3 = true_attitude(buf, lane)
-        a0, a1 = buf[Q + lane], buf[Q + L + lane]
-        a2, a3 = buf[Q + 2 * L + lane], buf[Q + 3 * L + lane]
+        (e0, e1, e2, e3), (a0, a1, a2, a3) = true_attitude(buf, lane), four_at(buf, Q, lane)
         w = a0 * e0 + a1 * e1 + a2 * e2 + a3 * e3
         x = a0 * e1 - a1 * e0 - a2 * e3 + a3 * e2
         y = a0 * e2 + a1 * e3 - a2 * e0 - a3 * e1

@@ -1,7 +1,7 @@
 """Many flights at once: truth, sensors, faults, estimator and scores, compiled.
 
 `fly` takes flights as the columns of an array whose rows are those of `rows`, works through them
-in groups of LANES and leaves the scores in the same rows. `trace` flies one and keeps everything.
+in groups of LANES and leaves the scores in the same rows.
 """
 
 from typing import NamedTuple
@@ -22,7 +22,16 @@ from analysis.search.lanes.inverted_lanes import (
     sense_place,
     sense_static,
 )
-from analysis.search.lanes.lane_state import Buffer, Envelope, draw, living, move, sense_imu
+from analysis.search.lanes.lane_state import (
+    Buffer,
+    Envelope,
+    Three,
+    draw,
+    gather,
+    living,
+    move,
+    sense_imu,
+)
 from analysis.search.lanes.quad_lanes import QuadModel, move_quad, steer_quad
 from analysis.search.lanes.score_lanes import (
     euler_of_quaternions,
@@ -37,12 +46,12 @@ from simvehicle.vehicles.rigidbody_kernel import Inertia
 
 L = rows.LANES
 IMU = 0
+TRUE_SIZE = 13 + rows.CHANNELS  # true state and measurements of a traced sample
 FIELD = rows.FIELD - rows.MEASURED
 VELOCITY = rows.VELOCITY - rows.MEASURED
 PRESSURE = rows.DIFF_PRESSURE - rows.MEASURED
 PLACE = rows.PLACE - rows.MEASURED
 Columns = NDArray[np.float64]
-Three = tuple[float, float, float]
 Generators = NDArray[np.uint64]
 
 
@@ -189,10 +198,14 @@ def tick(
 
 
 @compiled
-def fly(flights: Columns, filters: Columns, generators: Generators, plan: Plan) -> None:
+def fly(
+    flights: Columns, filters: Columns, generators: Generators, plan: Plan, traced: Columns
+) -> None:
     """Fly all columns of `flights` (ROWS, n), n a multiple of LANES.
 
     `filters` (n, FILTER_SIZE) holds the filters' start states, `generators` (4, n) the noise.
+    `traced` takes the samples of the first lane of a group, unless it is empty: 13 of the true
+    state, CHANNELS measured, 9 of ESTIMATE and 4 of QUATERNION, whether alive.
     """
     buf = np.empty(rows.ROWS * L)
     for first in range(0, flights.shape[1], L):
@@ -203,31 +216,14 @@ def fly(flights: Columns, filters: Columns, generators: Generators, plan: Plan) 
         airspeed = np.zeros(L)
         for k in range(plan.steps + 1):
             tick(buf, states, airspeed, noise, k, plan)
-            if k % 64 == 0 and living(buf) == 0:
+            if len(traced):
+                traced[k, :13] = gather(buf, rows.NOW * L, 13, 0)
+                traced[k, 13 : 13 + rows.CHANNELS] = gather(
+                    buf, rows.MEASURED * L, rows.CHANNELS, 0
+                )
+                traced[k, 13 + rows.CHANNELS : -1] = gather(buf, rows.ESTIMATE * L, 13, 0)
+                traced[k, -1] = buf[rows.ALIVE * L]
+            elif k % 64 == 0 and living(buf) == 0:
                 break
         for row in range(rows.ROWS):
             flights[row, first : first + L] = buf[row * L : row * L + L]
-
-
-@compiled
-def trace(flights: Columns, filters: Columns, generators: Generators, plan: Plan) -> Columns:
-    """The first lane of `flights` (ROWS, LANES), sample by sample.
-
-    Rows of the answer: 13 of the true state, CHANNELS measured, 9 of ESTIMATE and 4 of QUATERNION,
-    whether alive.
-    """
-    buf = flights.copy().ravel()
-    noise = generators.copy()
-    states = filters.copy()
-    airspeed = np.zeros(L)
-    out = np.empty((plan.steps + 1, 13 + rows.CHANNELS + 14))
-    for k in range(plan.steps + 1):
-        tick(buf, states, airspeed, noise, k, plan)
-        for i in range(13):
-            out[k, i] = buf[(rows.NOW + i) * L]
-        for i in range(rows.CHANNELS):
-            out[k, 13 + i] = buf[(rows.MEASURED + i) * L]
-        for i in range(13):
-            out[k, 13 + rows.CHANNELS + i] = buf[(rows.ESTIMATE + i) * L]
-        out[k, 26 + rows.CHANNELS] = buf[rows.ALIVE * L]
-    return out

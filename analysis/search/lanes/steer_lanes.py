@@ -3,7 +3,7 @@
 import numpy as np
 
 from analysis.search.lanes import rows
-from analysis.search.lanes.lane_state import Buffer, state_at
+from analysis.search.lanes.lane_state import Buffer, four_at, state_at, three_at
 from analysis.search.lanes.wide import wide
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
@@ -22,17 +22,11 @@ def steer(buf: Buffer, t_s: float) -> None:
         state = state_at(buf, lane)
         _, _, _, u, v, w, e0, e1, e2, e3, p, q, _ = state
         roll, pitch, _ = euler_of_quaternion(e0, e1, e2, e3)
-        north, east, down = buf[W + lane], buf[W + L + lane], buf[W + 2 * L + lane]
+        north, east, down = three_at(buf, W, lane)
         x, y, z = to_body(e0, e1, e2, e3, north, east, down)
         u, v, w = u - x, v - y, w - z
         speed = np.sqrt(u * u + v * v + w * w)
-        aim = (
-            buf[T + L + lane],
-            buf[T + 2 * L + lane],
-            buf[T + 3 * L + lane],
-            buf[T + 4 * L + lane],
-        )
-        open_loop = (buf[O + lane], buf[O + L + lane], buf[O + 2 * L + lane], buf[O + 3 * L + lane])
+        aim, open_loop = four_at(buf, T + L, lane), four_at(buf, O, lane)
         woven = weave_controls(WeaveFeedback(roll, pitch, p, q, speed), aim, open_loop, t_s)
         on = buf[T + lane] > 0.5
         for i in range(4):

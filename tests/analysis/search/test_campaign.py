@@ -8,7 +8,7 @@ import pytest
 from analysis.flying.worker_pool import InProcessPool, LocalWorkerPool
 from analysis.search.archive import MIN_DISTANCE, Archive, rms_distance
 from analysis.search.cases import yaml_of_test
-from analysis.search.evaluation.compiled_batch import EvaluationOutcome
+from analysis.search.evaluation.evaluator import EvaluationOutcome
 from analysis.search.history import RECORD
 from analysis.search.search_command import main, run_search
 from analysis.search.space.test_file import (
@@ -122,7 +122,7 @@ def test_flights_in_the_simulator_are_saved_in_small_batches(tmp_path):
             axes = np.zeros((len(nothing), 4))
             whole = nothing.astype(np.int64)
             return self.number, EvaluationOutcome(
-                nothing, nothing, axes, axes, nothing, whole, 0, axes[:, :3]
+                nothing, nothing, axes, axes, whole, 0, axes[:, :3]
             )
 
     with pytest.raises(Killed):

@@ -197,7 +197,6 @@ def test_a_flight_that_leaves_the_envelope_scores_by_how_long_it_lasted():
     test = test_of(controls=SearchControls(elevator_deg=(-25.0, -4.0)), duration_s=20.0)
     outcome = Batch(test).evaluate(np.array([[0.0], [0.5], [1.0]]), 1, 0)
     assert (outcome.broken_limit[:2] > 0).all()
-    assert outcome.fitness[:2] == pytest.approx(outcome.lasted_s[:2] / 20.0 - 1.0, abs=1e-3)
     assert outcome.fitness[0] < outcome.fitness[1] < 0.0
     assert rows.LIMITS[outcome.broken_limit[0]] in ("alpha", "load", "pitch", "rate")
 
