@@ -12,8 +12,7 @@ from analysis.samples.message_readers import SAMPLE_LINES, read_samples
 from analysis.samples.range_epochs import EpochAssembler
 from analysis.samples.sample import Sample
 from analysis.samples.wrapped_stamps import WRAPPED_MESSAGE, BootTime
-from mavproxy_fault.rtcm.transport import PAYLOAD_TYPE
-from mavproxy_fault.rtcm.tunnel_columns import Assembler
+from mavproxy_fault.rtcm.transport import PAYLOAD_TYPE, Reassembler
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.tlog import Columns, row_dtype
 
@@ -46,10 +45,10 @@ def columns_of(frames: Iterable[Frame]) -> tuple[Columns, Orders]:
 class Decoder:
     """Decodes the frames of one stream; keeps the state that spans frames (RTCM parts, clocks)."""
 
-    __slots__ = ("_assembler", "_boot", "_ranging", "_stamps")
+    __slots__ = ("_boot", "_fragments", "_ranging", "_stamps")
 
     def __init__(self) -> None:
-        self._assembler = Assembler()
+        self._fragments = Reassembler()
         self._ranging = EpochAssembler()
         self._boot = BootTime()
         self._stamps: dict[int, int] = {}
@@ -93,11 +92,19 @@ class Decoder:
         ours = np.flatnonzero(rows["payload_type"] == PAYLOAD_TYPE)
         # `take` copies complete records; indexing copies field by field and is slower.
         rows, order, sender = rows.take(ours), order[ours], _senders(rows)[ours]
-        payload = np.ascontiguousarray(rows["payload"])
-        messages = self._assembler.add(sender, payload, rows["payload_length"].astype(np.int64))
-        places = order[messages.row]
-        stamps_us = stamps.before(sender[messages.row], places)
-        return self._ranging.samples(messages, places.tolist(), stamps_us)
+        lengths = rows["payload_length"].tolist()
+        found = [
+            (row, message)
+            for row, (number, payload) in enumerate(
+                zip(sender.tolist(), rows["payload"], strict=True)
+            )
+            if lengths[row] <= len(payload)
+            for message in self._fragments.add(payload[: lengths[row]].tobytes(), number)
+        ]
+        at = np.array([row for row, _ in found], np.int64)
+        places, messages = order[at], [message for _, message in found]
+        stamps_us = stamps.before(sender[at], places)
+        return self._ranging.samples(zip(places.tolist(), messages, stamps_us, strict=True))
 
 
 def _senders(rows: NDArray[Any]) -> Indices:

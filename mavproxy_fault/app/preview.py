@@ -12,7 +12,7 @@ from mavproxy_fault.documents.extras import import_extra
 from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.faults.satellite import SatelliteFault
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.rtcm.msm7 import Msm7, decode_msm7, encode_msm7
+from mavproxy_fault.rtcm.msm7 import decode_msm7, encode_epoch
 from mavproxy_fault.rtcm.transport import Reassembler, tunnel_frames, tunnel_payload
 from mavproxy_fault.schedule.entries import Entry, Schedule
 from mavproxy_fault.wire.dialect import find_layout, message_layout
@@ -224,27 +224,22 @@ def _satellite_curves(
     reassembler = Reassembler()
     # Receivers send pseudoranges at a few hertz.
     for number, t_s in enumerate(sample_times(begin_s, end_s, 2)):
-        for system in sorted({name[0] for name in names}):
-            ours = sorted(name for name in names if name[0] == system)
-            for raw in tunnel_frames(encode_test_epoch(system, ours, t_s), number):
+        healthy, zeros = (RANGE_M,) * len(names), (0.0,) * len(names)
+        for test_epoch in encode_epoch(t_s, names, healthy, zeros, zeros):
+            for raw in tunnel_frames(test_epoch, number):
                 for out in apply_engine(engine, Frame(raw, message_layout("TUNNEL")), t_s):
                     payload = tunnel_payload(out.frame) if isinstance(out.frame, Frame) else None
                     for message in reassembler.add(payload or b""):
-                        _add_ranges(found, ours, message, t_s)
+                        _add_ranges(found, message, t_s)
     return list(found.values())
 
 
-def encode_test_epoch(system: str, names: list[str], t_s: float) -> bytes:
-    each = (RANGE_M,) * len(names)
-    zeros = (0.0,) * len(names)
-    return encode_msm7(Msm7(system, t_s, tuple(names), each, each, zeros, zeros, zeros))
-
-
-def _add_ranges(found: dict[str, FaultCurve], names: list[str], message: bytes, t_s: float) -> None:
+def _add_ranges(found: dict[str, FaultCurve], message: bytes, t_s: float) -> None:
     data = decode_msm7(message)
     ranges = dict(zip(data.satellites, data.pseudorange_m, strict=True))
-    for name in names:
-        curve = found[name]
+    for name, curve in found.items():
+        if name[0] != data.system:
+            continue
         if name not in ranges:
             curve.lost.append(t_s)
             continue

@@ -2,5 +2,5 @@
 
 A *transport* frame is one RTCM message with its CRC; TUNNEL messages carry it in *fragments*. An
 *MSM7* message contains one epoch of one constellation, an *ephemeris message* (1019, 1046) the
-broadcast orbit of one satellite. `*_columns` are compiled readers for many messages at a time.
+broadcast orbit of one satellite.
 """

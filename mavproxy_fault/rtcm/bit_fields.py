@@ -13,31 +13,27 @@ class BitReader:
         self._value = int.from_bytes(data, "big")
         self._remaining_bits = 8 * len(data)
 
-    def unsigned(self, width: int) -> int:
-        """Read an unsigned number of `width` bits.
+    def column(self, count: int, width: int) -> list[int]:
+        """Read `count` numbers of `width` bits; negative: in two's complement.
 
         Raises
         ------
         ValueError
             If fewer bits remain.
         """
-        self._remaining_bits -= width
+        size = abs(width)
+        self._remaining_bits -= count * size
         if self._remaining_bits < 0:
             raise ValueError("message ends inside a field")
-        return (self._value >> self._remaining_bits) & ((1 << width) - 1)
+        mask, sign = (1 << size) - 1, (1 << size - 1 if width < 0 else 0)
+        # Cut out first, since each shift copies the whole integer.
+        run = self._value >> self._remaining_bits & (1 << count * size) - 1
+        values = [run >> at & mask for at in range((count - 1) * size, -1, -size)]
+        return [(value ^ sign) - sign for value in values] if sign else values
 
-    def signed(self, width: int) -> int:
-        """Read a two's complement number of `width` bits."""
-        value = self.unsigned(width)
-        return value - (1 << width) if value >> (width - 1) else value
-
-    def many(self, count: int, width: int) -> list[int]:
-        """Read `count` unsigned fields of one width."""
-        return [self.unsigned(width) for _ in range(count)]
-
-    def many_signed(self, count: int, width: int) -> list[int]:
-        """Read `count` signed fields of one width."""
-        return [self.signed(width) for _ in range(count)]
+    def unsigned(self, width: int) -> int:
+        """Read one unsigned number."""
+        return self.column(1, width)[0]
 
 
 def pack_bits(fields: Iterable[tuple[int, int]]) -> bytes:

@@ -206,7 +206,7 @@ def read_fields(bits: BitReader, rows: tuple[Row, ...]) -> dict[str, float]:
     """Read the fields of a table in their units."""
     values: dict[str, float] = {}
     for name, width, step in rows:
-        values[name] = (bits.signed(-width) if width < 0 else bits.unsigned(width)) * step
+        values[name] = bits.column(1, width)[0] * step
     return values
 
 

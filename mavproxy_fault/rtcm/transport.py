@@ -14,7 +14,6 @@ References
 .. [2] MAVLink common message set, TUNNEL and GPS_RTCM_DATA.
 """
 
-import struct
 from collections.abc import Iterator
 
 from mavproxy_fault.wire.dialect import message_layout
@@ -31,37 +30,27 @@ FRAGMENTS_MAX = 4
 MESSAGE_MAX = FRAGMENTS_MAX * FRAGMENT_BYTES
 SEQUENCES = 32
 PENDING_MAX = 4  # incomplete messages stored per sender; far fewer than sequence numbers
+SENDERS_MAX = 16  # then those of all senders count together
 
 CRC24Q_POLYNOMIAL = 0x1864CFB
 
 
-def _crc_tables() -> tuple[tuple[int, ...], ...]:
-    """Return the CRC of each byte followed by zero, one, two and three zero bytes."""
-    first = []
-    for byte in range(256):
-        crc = byte << 16
-        for _ in range(8):
-            crc = crc << 1 ^ (CRC24Q_POLYNOMIAL if crc & 0x800000 else 0)
-        first.append(crc & 0xFFFFFF)
-    tables = [tuple(first)]
-    # Another zero byte is another step of the register.
-    for _ in range(3):
-        tables.append(tuple((crc << 8 & 0xFFFFFF) ^ first[crc >> 16] for crc in tables[-1]))
-    return tuple(tables)
+def _crc_of_byte(byte: int) -> int:
+    """Return the CRC of one byte."""
+    crc = byte << 16
+    for _ in range(8):
+        crc = crc << 1 ^ (CRC24Q_POLYNOMIAL if crc & 0x800000 else 0)
+    return crc
 
 
-_TABLES = _crc_tables()
+_TABLE = tuple(map(_crc_of_byte, range(256)))
 
 
 def crc24q(data: bytes) -> int:
-    """Compute CRC-24Q with start value zero, four bytes per step."""
-    last, third, second, first = _TABLES
+    """Compute CRC-24Q with start value zero."""
     crc = 0
-    # Leading zeros, which fill up the first word, do not change the CRC.
-    for word in struct.unpack(f">{len(data) + 3 >> 2}I", bytes(-len(data) % 4) + data):
-        # The 24-bit register is combined with the upper three bytes of the word.
-        x = crc << 8 ^ word
-        crc = first[x >> 24] ^ second[x >> 16 & 255] ^ third[x >> 8 & 255] ^ last[x & 255]
+    for byte in data:
+        crc = crc << 8 & 0xFFFFFF ^ _TABLE[crc >> 16 ^ byte]
     return crc
 
 
@@ -176,7 +165,7 @@ def tunnel_payload(frame: Frame) -> bytes | None:
 
 
 class Reassembler:
-    """Reassembles the fragments of one sender; stores at most four incomplete messages.
+    """Reassembles the fragments of any number of senders; stores a few incomplete messages.
 
     A lost fragment loses its message. Fragments may arrive in any order.
     """
@@ -184,27 +173,28 @@ class Reassembler:
     __slots__ = ("_pending",)
 
     def __init__(self) -> None:
-        self._pending: dict[int, dict[int, bytes]] = {}
+        self._pending: dict[tuple[int, int], dict[int, bytes]] = {}
 
-    def add(self, payload: bytes) -> list[bytes]:
+    def add(self, payload: bytes, sender: int = 0) -> list[bytes]:
         """Add a TUNNEL payload; return the RTCM messages that it completes, with valid CRC."""
         if not payload:
             return []
         flags, data = payload[0], payload[1:]
-        sequence = flags >> 3
+        key = sender, flags >> 3
         if not flags & 1:
             # The sequence number is in use again: an older message with it stays incomplete.
-            self._pending.pop(sequence, None)
+            self._pending.pop(key, None)
             return list(split_messages(data))
-        parts = self._pending.setdefault(sequence, {})
+        parts = self._pending.setdefault(key, {})
         parts[flags >> 1 & 3] = data
         whole = join_fragments(parts)
         if whole is not None:
-            del self._pending[sequence]
+            del self._pending[key]
             return list(split_messages(whole))
-        if len(self._pending) > PENDING_MAX:
-            # The first key of a dictionary is the oldest.
-            del self._pending[next(iter(self._pending))]
+        own = [known for known in self._pending if known[0] == sender]
+        # A dictionary has the oldest first.
+        for old in own[:-PENDING_MAX] or [*self._pending][: -SENDERS_MAX * PENDING_MAX]:
+            del self._pending[old]
         return []
 
 

@@ -88,7 +88,7 @@ def klobuchar_coefficients(found: Subframe) -> tuple[Coefficients, Coefficients]
     """Klobuchar alpha and beta; None if the subframe is not page 18 of subframe 4."""
     if found.number != 4 or found.data[6] & 0x3F != KLOBUCHAR_PAGE:
         return None
-    counts = BitReader(found.data[7:15]).many_signed(8, 8)
+    counts = BitReader(found.data[7:15]).column(8, -8)
     a0, a1, a2, a3, b0, b1, b2, b3 = (
         count * step for count, step in zip(counts, KLOBUCHAR_STEPS, strict=True)
     )

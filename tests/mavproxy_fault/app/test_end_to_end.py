@@ -8,11 +8,12 @@ import pytest
 import yaml
 from pymavlink import mavutil
 
-from mavproxy_fault.app.preview import encode_test_epoch, healthy_frame
+from mavproxy_fault.app.preview import RANGE_M, healthy_frame
 from mavproxy_fault.app.replaying.replay import main
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.faults.satellite import SatelliteFault
 from mavproxy_fault.proxy.announcements import COMPONENT
+from mavproxy_fault.rtcm.msm7 import encode_epoch
 from mavproxy_fault.rtcm.transport import tunnel_frames
 from mavproxy_fault.schedule.entries import Entry, parse_schedule
 from mavproxy_fault.schedule.presets import preset_names
@@ -57,9 +58,10 @@ def healthy(entries: tuple[Entry, ...], path: Path) -> None:
             if satellites and n % 5 == 0:
                 for system in sorted({name[0] for name in satellites}):
                     names = sorted(name for name in satellites if name[0] == system)[:MOST]
-                    parts = tunnel_frames(
-                        encode_test_epoch(system, [*names, f"{system}31"], t_s), n
-                    )
+                    names.append(f"{system}31")
+                    zeros = [0.0] * len(names)
+                    (one,) = encode_epoch(t_s, names, [RANGE_M] * len(names), zeros, zeros)
+                    parts = tunnel_frames(one, n)
                     frames += [Frame(raw, message_layout("TUNNEL")) for raw in parts]
             for frame in frames:
                 log.write((UNIX_US + round(t_s * 1e6)).to_bytes(8, "big") + frame.raw)

@@ -5,7 +5,7 @@ from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.fault_parts.value_fault import MOST_SENDERS
 from mavproxy_fault.faults.satellite import HOLD_US
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.rtcm.msm7 import Msm7, decode_msm7, encode_msm7
+from mavproxy_fault.rtcm.msm7 import decode_msm7, encode_epoch
 from mavproxy_fault.rtcm.transport import Reassembler, tunnel_frames, tunnel_payload
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
@@ -18,18 +18,8 @@ TUNNEL = message_layout("TUNNEL")
 
 def message(tow_s: float) -> bytes:
     many = len(NAMES)
-    return encode_msm7(
-        Msm7(
-            system="G",
-            tow_s=tow_s,
-            satellites=NAMES,
-            pseudorange_m=tuple(2.1e7 + 1e5 * i for i in range(many)),
-            phase_m=tuple(2.1e7 + 1e5 * i for i in range(many)),
-            doppler_mps=(100.0,) * many,
-            cn0_dbhz=(45.0,) * many,
-            lock_s=(10.0,) * many,
-        )
-    )
+    ranges = [2.1e7 + 1e5 * i for i in range(many)]
+    return encode_epoch(tow_s, NAMES, ranges, [100.0] * many, [45.0] * many)[0]
 
 
 def fragments(epoch: int) -> list[Frame]:

@@ -11,6 +11,7 @@ from mavproxy_fault.rtcm.transport import (
     FRAGMENT_BYTES,
     MESSAGE_MAX,
     PAYLOAD_TYPE,
+    SENDERS_MAX,
     Reassembler,
     crc24q,
     message_number,
@@ -122,12 +123,21 @@ def test_old_fragments_of_a_sequence_number_do_not_mix_with_new_ones() -> None:
     assert box.add(new[1]) == [message_of(310)]
 
 
-@given(st.lists(st.binary(max_size=FRAGMENT_BYTES + 1), max_size=80))
-def test_no_garbage_breaks_the_reassembler(payloads: list[bytes]) -> None:
+@given(st.lists(st.tuples(st.binary(max_size=FRAGMENT_BYTES + 1), st.integers(0, 40)), max_size=80))
+def test_no_garbage_breaks_the_reassembler(payloads: list[tuple[bytes, int]]) -> None:
+    box, of_one = Reassembler(), Reassembler()
+    for payload, sender in payloads:
+        box.add(payload, sender)
+        of_one.add(payload)
+    assert len(box._pending) <= SENDERS_MAX * 4
+    assert len(of_one._pending) <= 4
+
+
+def test_the_fragments_of_several_senders_are_kept_apart() -> None:
+    message = message_of(300)
+    parts = [(part, n) for part in split_fragments(message, 1) for n in range(SENDERS_MAX)]
     box = Reassembler()
-    for payload in payloads:
-        box.add(payload)
-    assert len(box._pending) <= 4
+    assert [m for part, n in parts for m in box.add(part, n)] == [message] * SENDERS_MAX
 
 
 def test_pymavlink_reads_the_tunnel_frames() -> None:

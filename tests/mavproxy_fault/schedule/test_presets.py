@@ -5,10 +5,10 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import all as pymavlink
 
-from mavproxy_fault.app.preview import encode_test_epoch, healthy_frame
+from mavproxy_fault.app.preview import RANGE_M, healthy_frame
 from mavproxy_fault.faults.satellite import SatelliteFault
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.rtcm.msm7 import msm7_satellites
+from mavproxy_fault.rtcm.msm7 import encode_epoch, msm7_satellites
 from mavproxy_fault.rtcm.transport import tunnel_frames, tunnel_payload
 from mavproxy_fault.schedule.entries import Entry, parse_schedule
 from mavproxy_fault.schedule.presets import preset_names, read_preset
@@ -35,7 +35,13 @@ def messages(entries: list[Entry]) -> set[str]:
         for name in entry.targets or getattr(entry.fault, "messages", ("HIL_SENSOR",)):
             head = name.split(".")[0]
             found.add("HIL_SENSOR" if head == "PLANT" else head)
-    return found - {"PSEUDORANGE"}  # which `encode_test_epoch` makes
+    return found - {"PSEUDORANGE"}  # which `healthy_epoch` makes
+
+
+def healthy_epoch(names: list[str], t_s: float) -> bytes:
+    zeros = [0.0] * len(names)
+    (message,) = encode_epoch(t_s, names, [RANGE_M] * len(names), zeros, zeros)
+    return message
 
 
 def sent_by(frame: Frame, entry: Entry) -> Frame:
@@ -169,7 +175,7 @@ def test_a_preset_of_satellites_patches_the_tunnelled_ranges(name: str) -> None:
             names = sorted({s for s in entry.fault.names if s[0] == system} | {f"{system}30"})
             frames = [
                 Frame(raw, message_layout("TUNNEL"))
-                for raw in tunnel_frames(encode_test_epoch(system, names, second), second)
+                for raw in tunnel_frames(healthy_epoch(names, second), second)
             ]
             outs = [
                 out for one in frames for out in engine.apply(one, "to-vehicle", second * 1_000_000)
@@ -229,8 +235,7 @@ def test_a_receiver_without_satellites_has_no_ranges() -> None:
     engine.start_at(0)
     names = ["G05", "G12", "G30"]
     frames = [
-        Frame(raw, message_layout("TUNNEL"))
-        for raw in tunnel_frames(encode_test_epoch("G", names, 1), 1)
+        Frame(raw, message_layout("TUNNEL")) for raw in tunnel_frames(healthy_epoch(names, 1), 1)
     ]
     outs = [out for one in frames for out in engine.apply(one, "to-vehicle", 1_000_000)]
     payloads = [tunnel_payload(out.frame) for out in outs if isinstance(out.frame, Frame)]
