@@ -22,7 +22,6 @@ from analysis.autopilots.bus_session import AutopilotBusSession
 from analysis.autopilots.flight_operator import (
     IGNORED_STREAMS,
     OPERATOR_PERIOD_US,
-    AutopilotCommands,
     Operator,
 )
 from analysis.autopilots.flight_plan import DEFAULT_HEIGHTS_M, flight_plan
@@ -33,8 +32,9 @@ from analysis.autopilots.hil_exchange import (
     ConnectionDeadline,
     is_lockstep_traffic,
 )
+from analysis.autopilots.operator_commands import OperatorCommands, OperatorModes
 from analysis.autopilots.px4 import px4_process
-from analysis.autopilots.running_autopilot import RealTimePacer, RunningAutopilot, StartupPacer
+from analysis.autopilots.running_autopilot import RunningAutopilot, StartupPacer
 from analysis.autopilots.stretches import open_stretches
 from analysis.report.curves.fault_effects import deviation_curves, measure_effects
 from analysis.report.curves.recording import Signal
@@ -136,10 +136,10 @@ def main(args: argparse.Namespace) -> int:
             bus = open_run_bus(args.zenoh, folder.name, config_file=args.zenoh_config)
             run.attach_bus(stack.enter_context(bus))
         simulation = run.flight.simulation
-        commands = stack.enter_context(autopilot.open_commands(simulation))
+        modes = autopilot.MODES[simulation.scenario.vehicle.kind]
         launch = autopilot.start_autopilot(arguments, simulation, folder, overrides)
         reason = run.run_flight(
-            launch, commands, parse_speed(args.speed or ("1" if args.ui else "max"))
+            launch, modes, parse_speed(args.speed or ("1" if args.ui else "max"))
         )
         columns = read_columns(folder / "sent.tlog")
         file.write(run.results + monitor.results())
@@ -267,7 +267,6 @@ class AutopilotRun:
         )
         self._parser = Parser()
         self._passage = new_passage(self.flight.core, self.flight.capture)
-        self._real_time_pacer = RealTimePacer()
         self._recorded_us = self._operator_us = 0
         self._loaded_schedule: str | None = None  # the schedule as it was loaded
         self._progress = Progress(time.monotonic())
@@ -282,13 +281,13 @@ class AutopilotRun:
     def run_flight(
         self,
         launch: AbstractContextManager[RunningAutopilot],
-        commands: AutopilotCommands,
+        modes: OperatorModes,
         speed: float,
     ) -> str:
         """Fly to the landing; return the reason of an early end, or an empty string."""
         simulation = self.flight.simulation
-        self._autopilot_commands = commands
-        self._operator = Operator(flight_plan(simulation), commands)
+        plan = flight_plan(simulation)
+        self._operator = Operator(plan, OperatorCommands(modes, plan.landing))
         mav_type, mix = mav_type_and_mix(simulation)
         hil = HilPacker(simulation.board, mav_type=mav_type)
         stretches = open_stretches(simulation, hil, self._passage)
@@ -375,7 +374,6 @@ class AutopilotRun:
             self._bus_session.serve()
         t_us = self.flight.vehicle_us
         self._startup_pacer.wait_for_pace(t_us)
-        self._real_time_pacer.wait_for_pace(t_us, awaiting=self._autopilot_commands.awaiting_reply)
         frames: list[bytes] = []
         if t_us >= self._operator_us:
             self._operator_us = t_us + OPERATOR_PERIOD_US

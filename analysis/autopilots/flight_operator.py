@@ -5,18 +5,15 @@ mission or hovers, lands, and waits for the motors to stop. Commands without an 
 every second of vehicle time.
 """
 
-from collections.abc import Sequence
 from enum import StrEnum
-from typing import Protocol
 
 from analysis.autopilots.flight_plan import FlightPlan
+from analysis.autopilots.operator_commands import COMPONENT, GROUND_STATION, OperatorCommands
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
-from simvehicle.guidance.waypoints import Waypoint
 
 HEARTBEAT = message_layout("HEARTBEAT")
-GROUND_STATION, TYPE_GCS, NO_AUTOPILOT = 255, 6, 8
-COMPONENT = 190  # MAV_COMP_ID_MISSIONPLANNER
+TYPE_GCS, NO_AUTOPILOT = 6, 8
 ARMED_FLAG = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 POSITION, CONSTANT_POSITION = 0x10, 0x80  # EKF_STATUS_REPORT.flags, ESTIMATOR_STATUS.flags
 RETRY_US = 1_000_000
@@ -38,35 +35,6 @@ VEHICLE_KINDS = {1: "fixedwing"} | dict.fromkeys(
     (2, 3, 4, 13, 14, 15), "multirotor"
 )  # by MAV_TYPE_
 GROUNDED_LIMIT_S = 30.0  # on the ground with motors on: the vehicle has crashed
-
-
-class AutopilotCommands(Protocol):
-    """Commands in an autopilot's own protocol; the operator repeats each until it took effect."""
-
-    @property
-    def awaiting_reply(self) -> bool:
-        """Whether a command is in progress in a thread that runs on the wall clock."""
-
-    def upload(self, waypoints: Sequence[Waypoint]) -> None:
-        """Upload the mission."""
-
-    def arm(self) -> None:
-        """Start the motors."""
-
-    def take_off(self, height_m: float) -> None:
-        """Climb to a height above the ground."""
-
-    def fly_mission(self) -> None:
-        """Start the uploaded mission; called once."""
-
-    def land(self) -> None:
-        """Land."""
-
-    def receive(self, frame: Frame) -> None:
-        """Read a frame of the autopilot."""
-
-    def pending(self) -> list[bytes]:
-        """Return and clear the frames to send."""
 
 
 class Phase(StrEnum):
@@ -105,7 +73,7 @@ class Operator:
         Why the operator ended the flight; empty otherwise.
     """
 
-    def __init__(self, plan: FlightPlan, commands: AutopilotCommands) -> None:
+    def __init__(self, plan: FlightPlan, commands: OperatorCommands) -> None:
         self.phase = Phase.WAITING
         self.events_us: dict[str, int] = {}
         self.texts: list[tuple[int, str]] = []

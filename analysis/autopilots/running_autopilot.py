@@ -10,7 +10,6 @@ from pathlib import Path
 from analysis.autopilots.hil_exchange import StepMessage, WaitableProcess
 from mavproxy_fault.ardupilot.child_process import describe_exit
 from mavproxy_fault.links.link import Link
-from simvehicle.app.pace import Pace
 
 MIN_WAIT_S = 0.02  # wall time by which the flight may be ahead of its pace
 STARTUP_SPEED = 4.0  # times real time; a faster flight delays the start (benchmarks/autopilots.md)
@@ -71,27 +70,6 @@ class StartupPacer:
         started = self._autopilot.startup_text in self._autopilot.log.read_text(errors="replace")
         # Another version may print another text.
         self.finished = started or time.monotonic() - self._began_s > STARTUP_LIMIT_S
-
-
-class RealTimePacer:
-    """Limits a flight to real time while a command is in progress on the wall clock.
-
-    The flight's thread has priority over all others, also over those of its operator: on a busy
-    machine PX4 would disarm itself before it received the take-off command.
-    """
-
-    def __init__(self) -> None:
-        self._pace: Pace | None = None
-
-    def wait_for_pace(self, t_us: int, *, awaiting: bool) -> None:
-        """Sleep while the flight is ahead of real time since the command."""
-        if not awaiting:
-            self._pace = None
-            return
-        self._pace = self._pace or Pace(1.0)
-        wait_s = self._pace.wait_s(t_us, time.monotonic())
-        if wait_s >= MIN_WAIT_S:
-            time.sleep(wait_s)
 
 
 @contextlib.contextmanager

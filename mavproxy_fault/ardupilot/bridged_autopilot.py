@@ -1,4 +1,8 @@
-"""ArduPilot behind the bridge, as a link that behaves like PX4."""
+"""The bridge to ArduPilot's SITL: HIL steps in, its outputs back, MAVLink both ways.
+
+ArduPilot's outputs after a line of JSON physics answer the step of that line, so that simulator and
+autopilot run in lockstep. Until ArduPilot requests its first line the simulator runs alone.
+"""
 
 import select
 import subprocess
@@ -7,26 +11,28 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from mavproxy_fault.ardupilot.autopilot_process import PARAMETER_FILE, Ports, start_process
-from mavproxy_fault.ardupilot.bridge import Bridge
 from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
 from mavproxy_fault.ardupilot.child_process import describe_exit
-from mavproxy_fault.ardupilot.outputs import motor_channels, plane_channels
+from mavproxy_fault.ardupilot.fed_autopilot import FedAutopilot
+from mavproxy_fault.ardupilot.feeding.companion import set_parameter
+from mavproxy_fault.ardupilot.feeding.json_physics import ServoPacket, read_servos
 from mavproxy_fault.ardupilot.parameters import VehicleKind, bridge_parameters, check_parameters
-from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle, SensorDiscovery
+from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle
 from mavproxy_fault.documents.parameter_list import format_parameters
-from mavproxy_fault.links.link import Chunk, LinkCounters
+from mavproxy_fault.links.link import Chunk
+from mavproxy_fault.proxy.interfaces import NEVER_US
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 
-CHANNELS = {"copter": motor_channels, "plane": plane_channels}
 POLL_S = 0.5  # between checks of the process
 END_S = 3.0  # for the autopilot to close its log
+STEP_US = 2500  # at 400 Hz: ArduPilot shuts down only while time advances
+RADIO_LOST_US = 500_000  # as PX4's COM_RC_LOSS_T
+ANSWERS, TELEMETRY = 0, 1  # stream numbers of returned data: a frame never spans both
 
 
-class BridgedAutopilot:
-    """A `Link`: HIL frames are written to it, replies and ArduPilot's own MAVLink read from it.
-
-    The process starts after one second of sensor discovery.
+class BridgedAutopilot(FedAutopilot):
+    """ArduPilot's process, which starts after the sensor discovery and ends with this.
 
     Parameters
     ----------
@@ -37,13 +43,9 @@ class BridgedAutopilot:
         Working folder of the process, with its logs.
     overrides : dict of str
         The user's parameters; they override the bridge's.
-    say : callable
-        Receives status lines for the user.
-    hil : str
-        The HIL link's name, for messages.
+    say, hil
+        As of `FedAutopilot`.
     """
-
-    datagrams = False
 
     def __init__(
         self,
@@ -54,42 +56,20 @@ class BridgedAutopilot:
         say: Callable[[str], None],
         hil: str = "the HIL link",
     ) -> None:
-        self.name = "ArduPilot"
-        # Counts as connected from the start: the caller need not wait for a first message.
-        self.counters = LinkCounters(bytes_in=1)
-        self._bridge: Bridge | None = None  # once the process has started
+        super().__init__(SensorPort(), vehicle, say, hil)
         check_parameters(overrides)
-        self._command, self._vehicle, self._overrides = list(command), vehicle, overrides
-        self._folder, self._say = folder, say
+        self._command, self._overrides, self._folder = list(command), overrides, folder
         self._process: subprocess.Popen[bytes] | None = None
-        self._discovery = SensorDiscovery(hil)
-        self._ports = Datagrams(), Datagrams(), SensorPort()
+        self._physics, self._mavlink = Datagrams(), Datagrams()
         self._serve: dict[int, Callable[[], None]] = {}
-        self._epoll = select.epoll()
-        self._parser = Parser()
-        self._answers: list[Chunk] = []
+        self._hil_parser, self._parser = Parser(), Parser()
         self._look_s, self._gone = 0.0, False
+        self._line: tuple[int, bytes] | None = None  # time and physics of the step to be sent next
+        self._sent_us: int | None = None  # time of the step that ArduPilot is processing
+        self._line_requested = False  # ArduPilot waits for a line
+        self._accepted = -1
+        self._radio_us, self._radio_heard = NEVER_US, True  # unless there is a remote control
         folder.mkdir(parents=True, exist_ok=True)
-
-    @property
-    def started(self) -> bool:
-        """Whether the process was started."""
-        return self._bridge is not None
-
-    @property
-    def armed(self) -> bool:
-        """Whether the vehicle is armed."""
-        return self._bridge is not None and self._bridge.armed
-
-    @property
-    def steps(self) -> int:
-        """Number of steps since the process started."""
-        return 0 if self._bridge is None else self._bridge.steps
-
-    @property
-    def t_us(self) -> int:
-        """Vehicle time of the last step."""
-        return 0 if self._bridge is None else self._bridge.t_us
 
     @property
     def peer_count(self) -> int:
@@ -116,28 +96,11 @@ class BridgedAutopilot:
         """
         return 0 if self._process is None else self._process.wait(timeout)
 
-    def filenos(self) -> list[int]:
-        """Return the epoll descriptor of all ArduPilot's sockets."""
-        return [self._epoll.fileno()]
-
     def write(self, data: bytes) -> None:
         """Process bytes of the HIL link, in complete frames."""
-        for item in self._parser.push(data, datagram=True):
+        for item in self._hil_parser.push(data, datagram=True):
             if isinstance(item, Frame):
                 self.receive(item)
-
-    def receive(self, frame: Frame) -> None:
-        """Process a frame of the HIL link.
-
-        Raises
-        ------
-        ConfigError
-            If ArduPilot cannot fly on the available sensors.
-        """
-        if self._bridge is not None:
-            self._bridge.receive(frame)
-        elif (discovered := self._discovery.update(frame)) is not None:
-            self._start(discovered)
 
     def read(self) -> list[Chunk]:
         """Return data from ArduPilot.
@@ -149,42 +112,95 @@ class BridgedAutopilot:
         """
         for descriptor, _ in self._epoll.poll(0):
             self._serve[descriptor]()
-        # Swapped, so that later answers belong to the next call.
-        answers, self._answers = self._answers, []
-        return answers
-
-    def _start(self, discovered: DiscoveredVehicle) -> None:
-        values = {**bridge_parameters(self._vehicle, discovered.sensors), **self._overrides}
-        (self._folder / PARAMETER_FILE).write_text(format_parameters(values))
-        rate_hz = discovered.sensors.rate_hz
-        self._say(f"{self._command[0]}: starting in {self._folder} at {rate_hz:g} steps/s")
-        ports = Ports(*(port.port for port in self._ports))
-        self._process = start_process(self._command, self._folder, ports, discovered.home)
-        channels = CHANNELS[self._vehicle]
-        self._bridge = Bridge(self._answer, discovered, self._ports, channels, self._say)
-        self._serve = self._bridge.descriptors()
-        for descriptor in self._serve:
-            self._epoll.register(descriptor, select.EPOLLIN)
-
-    def _answer(self, stream: int, data: bytes) -> None:
-        self._answers.append((stream, data))
+        return self.take_answers()
 
     def close(self) -> None:
         """End the process; it needs further physics while it closes its log."""
         # No process yet if the sensors were refused.
-        if self._process is not None and self._bridge is not None:
-            end_process(self._process, self._bridge)
-        for port in self._ports:
+        if self._process is not None:
+            self._process.terminate()
+            until_s = time.monotonic() + END_S
+            while self._process.poll() is None and time.monotonic() < until_s:
+                select.select([self._physics], [], [], 0.1)
+                self._drain()
+            self._process.kill()
+            self._process.wait()
+        for port in (self._physics, self._mavlink, self._sensor):
             port.close()
         self._epoll.close()
 
+    def _start(self, discovered: DiscoveredVehicle) -> None:
+        super()._start(discovered)
+        values = {**bridge_parameters(self._vehicle, discovered.sensors), **self._overrides}
+        (self._folder / PARAMETER_FILE).write_text(format_parameters(values))
+        rate_hz = discovered.sensors.rate_hz
+        self._say(f"{self._command[0]}: starting in {self._folder} at {rate_hz:g} steps/s")
+        ports = Ports(self._physics.port, self._mavlink.port, self._sensor.port)
+        self._process = start_process(self._command, self._folder, ports, discovered.home)
+        self._serve = {
+            self._physics.fileno(): self._serve_physics,
+            self._mavlink.fileno(): self._serve_mavlink,
+            self._sensor.fileno(): self._sensor.serve,
+        }
+        for descriptor in self._serve:
+            self._epoll.register(descriptor, select.EPOLLIN)
 
-def end_process(process: "subprocess.Popen[bytes]", bridge: Bridge) -> None:
-    """Terminate the process, and kill it if it does not end in time."""
-    process.terminate()
-    until_s = time.monotonic() + END_S
-    while process.poll() is None and time.monotonic() < until_s:
-        select.select([bridge.physics], [], [], 0.1)
-        bridge.drain()
-    process.kill()
-    process.wait()
+    def _drain(self) -> None:
+        """Repeat the last state with advancing time, so that ArduPilot can shut down."""
+        if self._discovered is None or (truth := self._discovered.readings.truth) is None:
+            return
+        for _ in self._physics.read():
+            self._sent_us = (self._sent_us or truth.t_us) + STEP_US
+            later = truth._replace(t_us=self._sent_us)
+            self._physics.write(self._feed.step(self._discovered.readings, later).physics)
+
+    def _converted(self, frame: Frame) -> bytes | None:
+        if frame.layout.name == "RC_CHANNELS":
+            self._radio_us = self.t_us
+            return None
+        if frame.layout.name == "BATTERY_STATUS" and self._discovered is not None:
+            voltage_v = self._discovered.readings.battery_v
+            return None if voltage_v is None else set_parameter("SIM_BATT_VOLTAGE", voltage_v)
+        return super()._converted(frame)
+
+    def _write_mavlink(self, raw: bytes) -> None:
+        self._mavlink.write(raw)
+
+    def _end_step(self, discovered: DiscoveredVehicle) -> bytes:
+        line = super()._end_step(discovered)
+        if (heard := self.t_us - self._radio_us < RADIO_LOST_US) != self._radio_heard:
+            # SITL has its own receiver, with the sticks at rest.
+            self._radio_heard = heard
+            self._mavlink.write(set_parameter("SIM_RC_FAIL", not heard))
+        self._line = self.t_us, line
+        self._send_step()
+        return line
+
+    def _send_step(self) -> None:
+        """Send the waiting step if ArduPilot has requested one."""
+        if self._line_requested and self._line is not None:
+            self._sent_us, line = self._line
+            self._line, self._line_requested = None, False
+            self._physics.write(line)
+
+    def _serve_physics(self) -> None:
+        for data in self._physics.read():
+            packet = read_servos(data)
+            if packet is not None:
+                self._take_outputs(packet)
+
+    def _take_outputs(self, packet: ServoPacket) -> None:
+        """Process servo outputs: the answer to a step, or a repeated request for the next."""
+        # An unchanged count is a repeated request, not the answer to a step.
+        if packet.accepted != self._accepted and self._sent_us is not None:
+            self._answers.append((ANSWERS, self._actuator_frame(self._sent_us, packet.pwm_us)))
+        self._accepted = packet.accepted
+        self._line_requested = True
+        self._send_step()
+
+    def _serve_mavlink(self) -> None:
+        for data in self._mavlink.read():
+            self._answers.append((TELEMETRY, data))
+            for item in self._parser.push(data):
+                if isinstance(item, Frame):
+                    self._receive_mavlink(item)

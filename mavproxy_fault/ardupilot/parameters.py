@@ -73,6 +73,7 @@ KIND_PARAMETERS: dict[VehicleKind, dict[str, float]] = {
         "THR_MAX": 100,
         "TKOFF_ROTATE_SPD": 22,
         "WP_LOITER_RAD": 150,
+        "AUTOLAND_WP_DIST": 1000,  # a glide slope of 3 degrees, as PX4's approach in a run
         "SERVO1_FUNCTION": 4,
         "SERVO2_FUNCTION": 19,
         "SERVO3_FUNCTION": 70,

@@ -130,6 +130,8 @@ class CommandedFlight:
             # The built-in controller is already flying the scenario's mission.
             if self.armed and not self.goal_active and not self._missions.revision:
                 return True
+        if self.armed and self.goal_active and mode == self.mode:
+            return True  # a repeated command must not restart a landing's time on the ground
         self.commanded = True
         self._enter_mode(mode)
         return True

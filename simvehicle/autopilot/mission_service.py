@@ -51,6 +51,18 @@ class MissionItem:
         """Whether `z_m` is relative to home instead of mean sea level."""
         return self.frame in RELATIVE_FRAMES
 
+    def values(self, scale: float = 1) -> dict[str, float]:
+        """The fields of MISSION_ITEM_INT; of MISSION_ITEM with the `scale` of its position."""
+        return {
+            "frame": self.frame,
+            "command": self.command,
+            "autocontinue": self.autocontinue,
+            **{f"param{i}": value for i, value in enumerate(self.params, 1)},
+            "x": self.x_degE7 * scale,
+            "y": self.y_degE7 * scale,
+            "z": self.z_m,
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class MissionUpload:
@@ -158,24 +170,10 @@ class Missions:
         seq = int(frame.number("seq"))
         if kind != MissionType.MISSION or seq >= len(self.items):
             return [_ack(frame, MissionResult.INVALID_SEQUENCE, kind)]
-        item = self.items[seq]
         # Answer in the requested encoding; old ground stations support floats only.
         integer = frame.layout.name == "MISSION_REQUEST_INT"
-        scale = 1 if integer else 1e-7
-        return [
-            _reply_message(
-                frame,
-                "MISSION_ITEM_INT" if integer else "MISSION_ITEM",
-                seq=seq,
-                frame=item.frame,
-                command=item.command,
-                autocontinue=item.autocontinue,
-                **{f"param{i}": value for i, value in enumerate(item.params, 1)},
-                x=item.x_degE7 * scale,
-                y=item.y_degE7 * scale,
-                z=item.z_m,
-            )
-        ]
+        name, scale = ("MISSION_ITEM_INT", 1) if integer else ("MISSION_ITEM", 1e-7)
+        return [_reply_message(frame, name, seq=seq, **self.items[seq].values(scale))]
 
     def _accept(self, items: tuple[MissionItem, ...]) -> None:
         self.items = items

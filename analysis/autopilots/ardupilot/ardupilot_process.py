@@ -4,10 +4,8 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from analysis.autopilots.ardupilot.ardupilot_commands import COPTER, PLANE, ArduPilotCommands
-from analysis.autopilots.flight_operator import AutopilotCommands
-from analysis.autopilots.flight_plan import flight_plan
 from analysis.autopilots.hil_exchange import BRIDGE_STEP
+from analysis.autopilots.operator_commands import OperatorModes
 from analysis.autopilots.running_autopilot import RunningAutopilot
 from mavproxy_fault.ardupilot.autopilot_process import check_command
 from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
@@ -19,19 +17,18 @@ KINDS: dict[str, VehicleKind] = {
     "fixedwing": "plane",
 }  # vehicle of the bridge by kind in the scenario
 BINARIES = {kind: f"ardu{name}" for kind, name in KINDS.items()}
-MODES = {"multirotor": COPTER, "fixedwing": PLANE}
+GUIDED, LAND, AUTO, TAKEOFF, PLANE_AUTO, AUTOLAND = (4,), (9,), (3,), (13,), (10,), (26,)
+MODES = {
+    "multirotor": OperatorModes(
+        (GUIDED,), GUIDED, AUTO, LAND, climbs_by_command=True, home_is_first=True
+    ),
+    "fixedwing": OperatorModes((TAKEOFF,), TAKEOFF, PLANE_AUTO, AUTOLAND, home_is_first=True),
+}
 
 
 def launch_command(binary: str) -> list[str]:
     """Return the command line that starts it; ConfigError if the binary does not exist."""
     return check_command(binary)
-
-
-@contextlib.contextmanager
-def open_commands(simulation: Simulation) -> Iterator[AutopilotCommands]:
-    """Open the commands for ArduPilot."""
-    kind = simulation.scenario.vehicle.kind
-    yield ArduPilotCommands(MODES[kind], flight_plan(simulation).landing)
 
 
 @contextlib.contextmanager

@@ -17,9 +17,9 @@ import subprocess
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from analysis.autopilots.flight_operator import AutopilotCommands
 from analysis.autopilots.flight_plan import flight_plan
 from analysis.autopilots.hil_exchange import PX4_STEP
+from analysis.autopilots.operator_commands import OperatorModes
 from analysis.autopilots.px4.px4_parameters import AIRFRAMES, STREAMS_HZ, run_parameters
 from analysis.autopilots.running_autopilot import RunningAutopilot, terminate_on_exit
 from mavproxy_fault.ardupilot.child_process import die_with_parent
@@ -30,6 +30,15 @@ from mavproxy_fault.links.udp import UdpServer
 from simvehicle.simulation.simulation import Simulation
 
 BINARIES = dict.fromkeys(AIRFRAMES, "px4")
+# Main modes and the sub-modes of AUTO: LOITER, TAKEOFF, MISSION, LAND
+MANUAL, HOLD, TAKE_OFF, MISSION, LAND = (1,), (4, 3), (4, 2), (4, 4), (4, 6)
+MODES = {
+    "multirotor": OperatorModes((HOLD,), TAKE_OFF, MISSION, LAND),
+    # In its automatic mode PX4's height controller runs from before the estimator knew the height
+    # of the field, and would start a climb from sea level. It restarts after a second without it.
+    # The mode LAND assumes a field at sea level.
+    "fixedwing": OperatorModes((MANUAL, MANUAL, MANUAL, HOLD), TAKE_OFF, MISSION, ()),
+}
 LOOPBACK = "127.0.0.1"
 FIRST_PORT = 4560  # TCP port at which instance 0 expects its simulator
 MAX_INSTANCES = 100
@@ -54,15 +63,6 @@ def launch_command(binary: str) -> list[str]:
             "`make px4_sitl_default` leaves in build/px4_sitl_default/bin/px4"
         )
     return [str(Path(path).resolve()), *arguments[1:], "-d", str(scripts)]
-
-
-@contextlib.contextmanager
-def open_commands(simulation: Simulation) -> Iterator[AutopilotCommands]:
-    """Open the commands for PX4; MAVSDK is slow to import."""
-    from analysis.autopilots.px4.mavsdk_commands import MavsdkCommands
-
-    with contextlib.closing(MavsdkCommands(flight_plan(simulation).landing)) as commands:
-        yield commands
 
 
 @contextlib.contextmanager

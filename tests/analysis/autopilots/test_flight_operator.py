@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
-from analysis.autopilots.ardupilot.ardupilot_commands import COPTER, ArduPilotCommands
+from analysis.autopilots.ardupilot import ardupilot_process
 from analysis.autopilots.flight_operator import OPERATOR_PERIOD_US, Operator, Phase
 from analysis.autopilots.flight_plan import FlightPlan
+from analysis.autopilots.operator_commands import OperatorCommands
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
@@ -42,7 +43,7 @@ def commands(frames):
 
 
 def operator(plan):
-    return Operator(plan, ArduPilotCommands(COPTER))
+    return Operator(plan, OperatorCommands(ardupilot_process.MODES["multirotor"]))
 
 
 class Autopilot:

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.ardupilot.bridge import Bridge
 from mavproxy_fault.ardupilot.bridge_command import BridgeLoop, FlightEndError
 from mavproxy_fault.ardupilot.bridge_ports import Datagrams
 from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
+from mavproxy_fault.ardupilot.fed_autopilot import FedAutopilot
 from mavproxy_fault.ardupilot.hil_readings import Readings, TrueState
 from mavproxy_fault.ardupilot.parameters import AvailableSensors
 from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle
@@ -185,25 +185,12 @@ def test_a_simulator_that_falls_silent_behind_a_proxy_is_reported_once():
     assert messages == [f"{link.name}: no step for 0.1 s; still waiting"]
 
 
-class NotingPort:
-    """One of ArduPilot's ports; keeps what is written."""
-
-    outputs = ()
-
-    def __init__(self):
-        self.written = b""
-
-    def write(self, data):
-        self.written += data
-
-
-def test_sitl_is_told_the_battery_and_the_loss_of_the_remote_control():
+def test_sitl_is_told_the_battery_and_the_loss_of_the_remote_control(tmp_path, monkeypatch):
     home = TrueState(0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, (0.0, 0.0, 0.0))
     sensors = AvailableSensors(400.0, second_imu=False, second_gps=False, rangefinder=False)
-    ports = NotingPort(), NotingPort(), NotingPort()
-    bridge = Bridge(
-        lambda *_: None, DiscoveredVehicle(Readings(), home, sensors), ports, list, lambda _: None
-    )
+    bridge, written = BridgedAutopilot(["true"], "copter", tmp_path, {}, print), list[bytes]()
+    monkeypatch.setattr(bridge._mavlink, "write", written.append)
+    FedAutopilot._start(bridge, DiscoveredVehicle(Readings(), home, sensors))  # without a process
 
     def receive(name, **values):
         layout = message_layout(name)
@@ -217,9 +204,10 @@ def test_sitl_is_told_the_battery_and_the_loss_of_the_remote_control():
         receive("HIL_STATE_QUATERNION", time_usec=t_us, attitude_quaternion=(1, 0, 0, 0))
     sent = [
         (frame.read("param_id").rstrip(b"\0"), frame.number("param_value"))
-        for frame in Parser().push(ports[1].written)
+        for frame in Parser().push(b"".join(written))
         if frame.layout.name == "PARAM_SET"
     ]
+    bridge.close()
     lost_and_found = [(b"SIM_RC_FAIL", 1.0), (b"SIM_RC_FAIL", 0.0)]
     assert sent == [(b"SIM_BATT_VOLTAGE", 12.5), *lost_and_found]
 

@@ -7,7 +7,7 @@ import pytest
 
 from analysis.autopilots.hil_exchange import BRIDGE_STEP, PX4_STEP
 from analysis.autopilots.px4 import px4_process
-from analysis.autopilots.running_autopilot import RealTimePacer, RunningAutopilot, StartupPacer
+from analysis.autopilots.running_autopilot import RunningAutopilot, StartupPacer
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
@@ -72,17 +72,6 @@ def test_the_speed_is_not_limited_for_an_autopilot_without_startup_text(tmp_path
     start = StartupPacer(RunningAutopilot("ArduPilot", None, [], tmp_path / "none", BRIDGE_STEP))
     start.wait_for_pace(0)
     start.wait_for_pace(10_000_000)
-
-
-def test_the_flight_runs_in_real_time_while_a_command_is_in_progress(monkeypatch):
-    now = [100.0]
-    monkeypatch.setattr("time.monotonic", lambda: now[0])
-    monkeypatch.setattr("time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
-    pacer = RealTimePacer()
-    for tick in range(5000):  # 20 s of a vehicle that takes no wall time
-        # A reply is awaited for 3 s and later for 5 s.
-        pacer.wait_for_pace(4000 * tick, awaiting=1000 <= tick < 1750 or 3000 <= tick < 4250)
-    assert now[0] - 100.0 == pytest.approx(8.0, abs=0.1)
 
 
 def test_two_runs_at_once_are_two_instances():
