@@ -7,6 +7,7 @@ scale counts no residual for more than five standard deviations of the smaller o
 standing multipath count; one satellite of ten, faulty for half of the time, adds two thirds.
 """
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -15,7 +16,6 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from msgspec.structs import replace
-from scipy.optimize import nnls
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector import Detector
@@ -216,7 +216,7 @@ def _fit_shape(
     if len(rows) < 2 * terms.shape[1]:
         return before
     weight = np.array(weights)
-    found, _ = nnls(np.array(rows) * weight[:, None], np.array(variances) * weight)
+    found = _fit_positive(np.array(rows) * weight[:, None], np.array(variances) * weight)
     # As large as the model in the median: the factors of the systems then say how noisy they are.
     found *= np.median(modelled**2) / max(float(np.median(terms @ found)), 1e-9)
     floor, zenith, thermal = np.sqrt(found).tolist()
@@ -227,6 +227,16 @@ def _fit_shape(
         zenith_m=round(zenith, 4),
         thermal_m=round(thermal, 4),
     )
+
+
+def _fit_positive(a: Vector, b: Vector) -> Vector:
+    """Least squares without negative terms: the best fit of some terms that has none."""
+    fits = [np.zeros(a.shape[1])]
+    for some in itertools.product((False, True), repeat=a.shape[1]):
+        fit = np.zeros(a.shape[1])
+        fit[list(some)] = np.linalg.lstsq(a[:, some], b)[0]
+        fits += [fit] if (fit >= 0.0).all() else []
+    return min(fits, key=lambda fit: float(np.linalg.norm(a @ fit - b)))
 
 
 class SigmaFile(msgspec.Struct, frozen=True):

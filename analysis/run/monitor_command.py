@@ -163,7 +163,7 @@ def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) ->
     if args.link is not None:
         # The fit iterates over the samples.
         raise ConfigError("--calibrate: cannot use a live link; give --log or --rinex")
-    from analysis.detection.learn_noise import learn_noise, write_sigma  # loads scipy's optimisers
+    from analysis.detection.learn_noise import learn_noise, write_sigma
 
     samples = [sample for block in read_blocks(args) for sample in block.samples()]
     found = learn_noise(samples, config.detector)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.extras import import_extra
 
 Array = NDArray[np.float64]
 BATCH_POINTS = 256  # points per batch where the method has no population size
@@ -45,9 +46,8 @@ class SobolSearch:
     """A scrambled Sobol sequence, which fills the cube more evenly."""
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
-        from scipy.stats.qmc import Sobol as Sequence
-
-        self._sequence = Sequence(dimension, rng=np.random.default_rng([seed, 2]))
+        sequence = import_extra("scipy.stats.qmc").Sobol
+        self._sequence = sequence(dimension, rng=np.random.default_rng([seed, 2]))
 
     def ask(self) -> Array:
         """The next points."""
@@ -179,25 +179,22 @@ class DifferentialEvolutionSearch:
 
 
 class MixedSearch:
-    """The default: a Sobol design, then a race of CMA-ES runs from its best points.
+    """The default: a Latin hypercube, then a race of CMA-ES runs from its best points.
 
     The runs start at well-separated points and share some generations; the best continue, one for
     each 10,000 evaluations of the budget. A stopped run is replaced by one with small steps from
     the best point of all.
     """
 
-    DESIGN = 64  # a power of two keeps the Sobol sequence balanced
+    DESIGN = 64
     RUNS, LAPS = 4, 8  # runs in the race, and its generations
     SIGMA, SMALL = 0.2, 0.1
     APART = 0.15  # RMS distance between the starting points
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
-        from scipy.stats.qmc import Sobol as Sequence
-
         # The usual population of CMA-ES.
-        self._size = 4 + int(3 * np.log(dimension))
+        self._dimension, self._size = dimension, 4 + int(3 * np.log(dimension))
         self._rng = np.random.default_rng([seed, 6])
-        self._sequence = Sequence(dimension, rng=np.random.default_rng([seed, 7]))
         self._survivors = int(np.clip(budget // 10_000, 1, 16))
         self._lap = 0
         self._runs: list[Any] = []
@@ -209,8 +206,10 @@ class MixedSearch:
     def ask(self) -> Array:
         """The design, then a generation of every run."""
         if not self._starts:
-            points: Array = self._sequence.random(self.DESIGN)
-            return points
+            # A Latin hypercube: one point in each of `DESIGN` slices of every dimension.
+            slices = np.tile(np.arange(self.DESIGN), (self._dimension, 1))
+            slices = self._rng.permuted(slices, axis=1).T
+            return (slices + self._rng.random(slices.shape)) / self.DESIGN
         # Once, after the last generation of the race.
         if self._lap == self.LAPS:
             order = np.argsort(self._run_best)[::-1][: self._survivors]

@@ -11,7 +11,7 @@ from mavproxy_fault.documents.errors import ConfigError
 LOG = logging.getLogger(__name__)
 EXTRAS = {
     "ahrs": "ahrs", "allpairspy": "falsify", "foxglove": "mcap", "hatanaka": "rinex",
-    "matplotlib": "plots", "mcap": "mcap", "pyarrow": "parquet",
+    "matplotlib": "plots", "mcap": "mcap", "pyarrow": "parquet", "scipy": "falsify",
 }  # fmt: skip
 
 

@@ -25,7 +25,6 @@ from pathlib import Path
 from statistics import median
 
 import msgspec
-from scipy.stats import binomtest
 
 from analysis.campaign.campaign_file import CampaignFile, FaultChoice
 from analysis.campaign.cell import CellResult, file_key
@@ -36,6 +35,7 @@ from analysis.campaign.results.outcome_grid import GridCell, GridRow, outcome_gr
 from analysis.campaign.results_store import read_campaign_folder
 from mavproxy_fault import __version__
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.extras import import_extra
 from mavproxy_fault.documents.yaml_document import without_none, write_yaml
 from mavproxy_fault.faults.registry import fault_class
 from mavproxy_fault.schedule.presets import read_preset
@@ -202,7 +202,8 @@ def file_hash(path: str) -> str:
 def _failure_bounds(failed: int, flights: int) -> Row:
     interval = (0.0, 1.0)
     if flights:
-        interval = binomtest(failed, flights).proportion_ci(CONFIDENCE, "exact")
+        test = import_extra("scipy.stats").binomtest(failed, flights)
+        interval = test.proportion_ci(CONFIDENCE, "exact")
     low, high = (f"{share:.4f}" for share in interval)
     return {"flights": str(flights), "failed": str(failed), "at least": low, "at most": high}
 

@@ -17,6 +17,10 @@ from simvehicle.vehicles.rigidbody_kernel import E0, Inertia, P, State13, U, V, 
 
 ROLL, PITCH, RATES = 6, 7, 9  # index, or start, in the 12 states
 LATERAL = [V, ROLL, RATES, RATES + 2]
+H = 1e-6  # of central differences: about the cube root of the rounding error, their optimum
+NEWTON_STEPS = 12  # 5 reach the rounding error from the start, at all speeds of the shipped sets
+MAX_STEP = 0.2  # rad, or of the squared throttle: keeps steps within what an airframe can do
+MAX_ALPHA_RAD = 0.4  # beyond the stall of every shipped airframe
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +90,6 @@ def find_trim(
     ----------
     .. [1] Beard and McLain, Small Unmanned Aircraft, 2012, appendix E.
     """
-    from scipy.optimize import least_squares
 
     def point_at(z: Array) -> TrimPoint:
         # Solve for the square of the throttle: thrust laws are even in it, and the negative root
@@ -102,15 +105,18 @@ def find_trim(
         return np.concatenate([rate[3:6], rate[9:]])
 
     # Near the cruise of all shipped airframes: a few degrees nose up, half throttle.
-    start = [0.05, -0.05, 0.25, 0.0, 0.0, 0.0]
-    solution = least_squares(residual, start, xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    point = point_at(solution.x)
-    # The solver may stop in a local minimum, where the residual is not zero.
-    missed = np.max(np.abs(solution.fun)) > 1e-6
-    if missed or point.throttle > 1.0 or abs(point.alpha_rad) > 0.4:
+    z = np.array([0.05, -0.05, 0.25, 0.0, 0.0, 0.0])
+    for _ in range(NEWTON_STEPS):
+        jacobian = [(residual(z + d) - residual(z - d)) / (2.0 * H) for d in H * np.eye(6)]
+        step = np.linalg.lstsq(np.array(jacobian).T, residual(z))[0]
+        z -= np.clip(step, -MAX_STEP, MAX_STEP)
+    # The last digits depend on the processor's linear algebra; adding zero removes its sign.
+    point = point_at(np.round(z, 12) + 0.0)
+    missed = np.max(np.abs(residual(z))) > 1e-6
+    if missed or point.throttle > 1.0 or abs(point.alpha_rad) > MAX_ALPHA_RAD:
         raise ValueError(
-            f"no straight flight at {airspeed_mps} m/s: angle of attack {point.alpha_rad:.2f} rad, "
-            f"throttle {point.throttle:.2f}; choose another speed"
+            f"no straight flight at {airspeed_mps} m/s with an angle of attack of at most "
+            f"{MAX_ALPHA_RAD} rad and full throttle; choose another speed"
         )
     return point
 
@@ -124,9 +130,7 @@ def linearise_trim(
     def f(dx: Array, du: Array) -> Array:
         return euler_derivative(x + dx, u + du, body, aero, density, gravity)
 
-    # About the cube root of the rounding error, the optimum for central differences.
-    h = 1e-6
     zero_x, zero_u = np.zeros(12), np.zeros(4)
-    a = [(f(d, zero_u) - f(-d, zero_u)) / (2.0 * h) for d in h * np.eye(12)]
-    b = [(f(zero_x, d) - f(zero_x, -d)) / (2.0 * h) for d in h * np.eye(4)]
+    a = [(f(d, zero_u) - f(-d, zero_u)) / (2.0 * H) for d in H * np.eye(12)]
+    b = [(f(zero_x, d) - f(zero_x, -d)) / (2.0 * H) for d in H * np.eye(4)]
     return np.array(a).T, np.array(b).T

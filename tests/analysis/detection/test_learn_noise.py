@@ -5,9 +5,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 
 from analysis.detection import DetectorConfig
-from analysis.detection.learn_noise import RecordedNoise, learn_noise, read_sigma, write_sigma
+from analysis.detection.learn_noise import (
+    RecordedNoise,
+    _fit_positive,
+    learn_noise,
+    read_sigma,
+    write_sigma,
+)
 from analysis.samples.sample import Epoch, ImuSample, Sample
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -92,3 +99,10 @@ def test_a_file_without_a_sigma_is_refused(tmp_path: Path):
     (tmp_path / "y.yaml").write_text("sigma: {scala: 1}\n")
     with pytest.raises(ConfigError, match="scala is unknown"):
         read_sigma(tmp_path / "y.yaml")
+
+
+def test_a_fit_without_negative_terms_is_that_of_scipy():
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        a, b = rng.normal(size=(9, 3)), rng.normal(size=9)
+        assert _fit_positive(a, b) == pytest.approx(nnls(a, b)[0], abs=1e-12)
