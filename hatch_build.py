@@ -21,7 +21,7 @@ except ImportError:  # run as a command, which needs only pip
 
 ROOT = Path(__file__).parent
 INSIDE = "mavproxy_fault/machine_code"
-KINDS = (".o", ".nbi", ".nbc", ".digest")  # not the locks
+KINDS = (".o", ".nbi", ".nbc")  # not the locks
 
 
 class MachineCode(BuildHookInterface):  # type: ignore[type-arg,misc]

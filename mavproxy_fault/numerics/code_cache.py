@@ -6,12 +6,10 @@ is named after a digest of the module and of all that it imports from this proje
 thus recompiles only what depends on it. Nothing here imports numba.
 """
 
-import ast
 import hashlib
 import os
 import re
 import shutil
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -30,7 +28,8 @@ PACKAGES = ("mavproxy_fault", "simvehicle", "analysis")
 IMPORTED = re.compile(
     rf"^(?:from|import) ((?:{'|'.join(PACKAGES)})[\w.]*)(?: import (\([^)]*|.*))?", re.MULTILINE
 )
-DIGESTS = "code.digest"  # of exact sources, and of their code
+# A docstring, a comment or nothing, on lines of its own
+SILENT = re.compile(rb'^[ \t]*(?:#.*|"""(?s:.*?)""")?\n', re.MULTILINE)
 STALE_S = 7 * 86_400.0  # unused for a week: an update's, or an edit's
 
 
@@ -56,41 +55,8 @@ def _imports(path: Path) -> frozenset[Path]:
 
 
 def code_digest(sources: Sequence[bytes]) -> str:
-    """Return a digest of sources that comments, docstrings and line numbers do not change."""
-    return hashlib.sha256("".join(map(_code_of, sources)).encode()).hexdigest()[:16]
-
-
-def _code_of(source: bytes) -> str:
-    """The digest of one source; parsing all takes a third of a second, so a file remembers it."""
-    exact = hashlib.sha256(sys.version.encode() + source).hexdigest()[:16]
-    known = _known_digests()
-    if exact not in known:
-        tree = ast.dump(_without_docstrings(ast.parse(source)))
-        known[exact] = hashlib.sha256(tree.encode()).hexdigest()[:16]
-        # Nowhere to write to: it is parsed again next time.
-        with suppress(OSError), (place() / DIGESTS).open("a") as file:
-            file.write(f"{exact} {known[exact]}\n")
-    return known[exact]
-
-
-@cache
-def _known_digests() -> dict[str, str]:
-    lines = []
-    for folder in (installed(), place()):
-        with suppress(OSError):
-            lines += re.findall(
-                r"^(\w{16}) (\w{16})$", (folder / DIGESTS).read_text(), re.MULTILINE
-            )
-    return dict(lines)
-
-
-def _without_docstrings(tree: ast.Module) -> ast.Module:
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            match node.body:
-                case [ast.Expr(ast.Constant(str())), *rest]:
-                    node.body = rest
-    return tree
+    """Return a digest of sources that lines of comments and docstrings do not change."""
+    return hashlib.sha256(b"".join(SILENT.sub(b"", one) for one in sources)).hexdigest()[:16]
 
 
 def installed() -> Path:

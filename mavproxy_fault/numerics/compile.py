@@ -11,7 +11,7 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -28,7 +28,6 @@ from mavproxy_fault.numerics.code_cache import (
     installed_folder,
     kernels,
     module_folder,
-    source_digest,
 )
 
 LOG = logging.getLogger(__name__)
@@ -48,49 +47,43 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 class _Locator(caching._CacheLocator):  # type: ignore[misc]  # numba has no types
-    """Where the machine code of one function is kept: a folder named after its sources."""
+    """One folder, which is named after the sources: their stamp is always the same."""
 
-    def __init__(self, function: Callable[..., Any], source: str) -> None:
-        self._py_file = source  # numba names it in a warning
-        self._path = self.folder(function.__module__, Path(source))
+    def __init__(self, folder: Path, source: str) -> None:
+        self._folder, self._py_file = folder, source  # numba names the source in a warning
 
-    def folder(self, module: str, source: Path) -> Path | None:
-        """The folder of a module's functions."""
-        return module_folder(module, source)
-
-    @classmethod
-    def from_function(cls, function: Callable[..., Any], source: str) -> "_Locator":
-        """The locator; unlike numba's own it finds a place for every function."""
-        return cls(function, source)
+    def from_function(self, function: Callable[..., Any], source: str) -> "_Locator":
+        """This locator, where numba asks a class for one."""
+        return self
 
     def get_cache_path(self) -> str:
         """The folder of the function's files."""
-        return str(self._path)
+        return str(self._folder)
 
     def get_source_stamp(self) -> str:
-        """One stamp for all that may be inlined into the function."""
-        return source_digest(Path(self._py_file))
-
-    def get_disambiguator(self) -> str:
-        """Nothing: numba's index distinguishes functions of one name by their code."""
+        """Nothing, and no disambiguator: numba's index distinguishes functions by their code."""
         return ""
 
-
-class _CacheImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = (_Locator,)
+    get_disambiguator = get_source_stamp
 
 
-class _InstalledLocator(_Locator):
-    def folder(self, module: str, source: Path) -> Path | None:
-        return installed_folder(module, source)
+class _CodeFiles(caching.CompileResultCacheImpl):  # type: ignore[misc]
+    def __init__(self, folder: Path, function: Callable[..., Any]) -> None:
+        self._locator_classes = (_Locator(folder, function.__code__.co_filename),)
+        super().__init__(function)
 
 
-class _InstalledImpl(caching.CompileResultCacheImpl):  # type: ignore[misc]
-    _locator_classes = (_InstalledLocator,)
+class _Cache(caching.FunctionCache):  # type: ignore[misc]
+    """Machine code of one function in one folder; unreadable code counts as absent.
 
+    What was installed is code for the baseline, which any later processor finds by that name.
+    """
 
-class _FunctionCache(caching.FunctionCache):  # type: ignore[misc]
-    """Machine code of one function in one folder; unreadable code counts as absent."""
+    def __init__(self, function: Callable[..., Any], folder: Path, installed: bool) -> None:
+        self._impl_class = partial(_CodeFiles, folder)
+        super().__init__(function)
+        self._installed = installed
+        self.lock = folder / f"{self._impl.filename_base}.lock"
 
     def holds(self, signature: Any, codegen: Any) -> bool:
         """Whether there is code for these types of arguments."""
@@ -98,45 +91,14 @@ class _FunctionCache(caching.FunctionCache):  # type: ignore[misc]
             return self._index_key(signature, codegen) in self._cache_file._load_index()
         return False
 
+    def _index_key(self, signature: Any, codegen: Any) -> Any:
+        signature, (triple, *processor), code = super()._index_key(signature, codegen)
+        return signature, (triple, *((BASELINE, "") if self._installed else processor)), code
+
     def _load_overload(self, signature: Any, context: Any) -> Any:
         with suppress(OSError):
             return super()._load_overload(signature, context)
         return None
-
-
-class _InstalledCache(_FunctionCache):
-    """Machine code of one function that came with the installation; read only."""
-
-    _impl_class = _InstalledImpl
-
-    def _index_key(self, signature: Any, codegen: Any) -> Any:
-        """The key of code for the baseline processor, on any processor."""
-        signature, (triple, *_), code = super()._index_key(signature, codegen)
-        return signature, (triple, BASELINE, ""), code
-
-
-class _Cache(_FunctionCache):
-    """Machine code as it was installed, else as this machine has made it."""
-
-    _impl_class = _CacheImpl
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        super().__init__(function)
-        source = Path(function.__code__.co_filename)
-        found = installed_folder(function.__module__, source)
-        self._installed = _InstalledCache(function) if found else None
-        self.lock = Path(self.cache_path) / f"{self._impl.filename_base}.lock"
-
-    def holds(self, signature: Any, codegen: Any) -> bool:
-        """Whether the installed or this machine's cache has code for these types of arguments."""
-        installed = self._installed is not None and self._installed.holds(signature, codegen)
-        return installed or super().holds(signature, codegen)
-
-    def _load_overload(self, signature: Any, context: Any) -> Any:
-        found = None
-        if self._installed is not None:
-            found = self._installed._load_overload(signature, context)
-        return super()._load_overload(signature, context) if found is None else found
 
     def _save_overload(self, signature: Any, code: Any) -> None:
         # A function among the arguments is another one in each process, which could not find it.
@@ -186,17 +148,23 @@ def _at_our_level() -> Iterator[None]:
 def _jitted(function: Function, **options: bool) -> Function:
     """A dispatcher with our cache, which compiles at our level."""
     dispatcher: Any = njit(**_OPTIONS, **options)(function)
-    code = dispatcher._cache = _Cache(function)
+    module, source = function.__module__, Path(function.__code__.co_filename)
+    own = _Cache(function, module_folder(module, source), installed=False)
+    found = installed_folder(module, source)
+    caches = [own, *([_Cache(function, found, installed=True)] if found else [])]
     compile_one = dispatcher.compile
 
     def load_or_compile(signature: Any) -> Any:
         with ExitStack() as stack:
             stack.enter_context(_at_our_level())
-            known = signature in dispatcher.overloads
-            if not known and not code.holds(signature, dispatcher.targetctx.codegen()):
-                # A process that waited here loads the code that the other process compiled.
-                _announce(f"{function.__module__}.{function.__name__}")
-                stack.enter_context(alone(code.lock))
+            if signature not in dispatcher.overloads:
+                codegen = dispatcher.targetctx.codegen()
+                held = next((one for one in caches if one.holds(signature, codegen)), None)
+                dispatcher._cache = held or own
+                if held is None:
+                    # A process that waited here loads the code that the other process compiled.
+                    _announce(f"{module}.{function.__name__}")
+                    stack.enter_context(alone(own.lock))
             return compile_one(signature)
 
     dispatcher.compile = load_or_compile
