@@ -11,18 +11,34 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.gnss import receiver_kernel as kernel
-from simvehicle.gnss.pseudorange import Atmosphere
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from simvehicle.gnss.pseudorange import (
+    DELAY,
+    LINE_OF_SIGHT,
+    RANGE,
+    RANGE_RATE,
+    SAT_CLOCK,
+    SAT_CLOCK_RATE,
+    SAT_ELEVATION,
+    Atmosphere,
+    signal_geometry,
+)
 from simvehicle.gnss.satellite_orbits import Orbits, satellite_states
 
 Vector = NDArray[np.float64]
 
 EARTH_RADIUS_M = 6.37e6
+STILL = np.zeros(3)
 EPH_MAX_M = 100.0  # horizontal sigma above which there is no 3D fix; chosen
 EPH_MAX_2D_M = 1000.0  # the same for a 2D fix, whose error follows that of the assumed height
 LAST_HEIGHT_SIGMA_M, SEA_HEIGHT_SIGMA_M = 50.0, 500.0  # chosen: height change in a 2D fix; terrain
-NO_KNOWN_HEIGHT = (math.nan, 1.0)  # height is estimated
-REASONS = {kernel.SINGULAR: "satellites in one plane", kernel.DIVERGED: "no convergence"}
+ITERATIONS_MAX = 12
+CONVERGED_M = 1e-4  # chosen: far below any measurement error
+SMALL_STEP_M = 10.0  # the linearisation is valid over such a step
+ZENITH_SIGMA_M = 0.5  # assumed pseudorange error at the zenith
+SINE_MIN = 0.05  # of 3 degrees, the lowest elevation of the atmospheric models
+RANK_TOLERANCE = 1e-6  # of the largest singular value; below it the geometry counts as singular
 
 
 class ReceiverFix(msgspec.Struct, frozen=True):
@@ -76,37 +92,73 @@ def solve_receiver_fix(
     lacking = 3 + max(len(systems), 1) - count
     if lacking > 1:
         return _no_fix(count, f"{count} satellites of {len(systems)} systems", last)
+    clocks = np.array([[letter == system for system in systems] for letter in letters], float)
     # The last solution is a start only if its clocks are those of the same systems.
     near = last is not None and last.fix_type >= 2 and len(last.clock_m) == len(systems)
-    start = (last.r_ecef_m, last.clock_m) if last is not None and near else None
-    system = np.array([systems.index(letter) for letter in letters])
-    out = kernel.solve_navigation(
-        kernel.ReceiverObservations(orbits.table, system, pseudorange_m, doppler_mps),
-        tow_s,
-        atmosphere.coefficients,
-        atmosphere.troposphere,
-        np.concatenate(start or (_point_below_satellites(orbits, tow_s), np.zeros(len(systems)))),
-        near,
-        _known_height(last) if lacking == 1 else NO_KNOWN_HEIGHT,
-    )
-    if out[kernel.STATUS] != kernel.SOLVED:
-        return _no_fix(count, REASONS[float(out[kernel.STATUS])], last)
-    sigma = out[kernel.SIGMA : kernel.SIGMA + 3]
+    x = np.concatenate([_point_below_satellites(orbits, tow_s), np.zeros(len(systems))])
+    if last is not None and near:
+        x = np.concatenate([last.r_ecef_m, last.clock_m])
+    for _ in range(ITERATIONS_MAX):
+        own_s = tow_s - float(x[3]) / SPEED_OF_LIGHT_MPS
+        geometry = signal_geometry(
+            orbits.table, own_s, x, STILL, atmosphere.coefficients, atmosphere.troposphere
+        )
+        model_m = geometry[RANGE] - SPEED_OF_LIGHT_MPS * geometry[SAT_CLOCK] + geometry[DELAY]
+        # Moving towards the satellite shortens the range.
+        design = np.hstack([-geometry[LINE_OF_SIGHT:].T, clocks])
+        residual = pseudorange_m - model_m - clocks @ x[3:]
+        # Errors grow towards the horizon roughly with the inverse sine of the elevation.
+        root = np.maximum(np.sin(geometry[SAT_ELEVATION]), SINE_MIN) / ZENITH_SIGMA_M
+        if lacking == 1:  # the assumed height is a measurement
+            lat, lon, height_m = geodetic_position(x[:3])
+            known_m, sigma_m = _known_height(last)
+            design = np.vstack([design, np.append(-ned_axes(lat, lon)[2], np.zeros(len(systems)))])
+            residual, root = np.append(residual, known_m - height_m), np.append(root, 1.0 / sigma_m)
+        # The first iterations are unweighted, as elevations need a position.
+        step = _least_squares(design, residual, root if near else np.ones(len(root)))
+        if step is None:
+            return _no_fix(count, "satellites in one plane", last)
+        x += step
+        size_m = np.abs(step).max()
+        if near and size_m < SMALL_STEP_M:
+            break
+        near = near or bool(size_m < CONVERGED_M)
+    else:
+        return _no_fix(count, "no convergence", last)
+    lat, lon, height_m = geodetic_position(x[:3])
+    axes, weighted = ned_axes(lat, lon), design * root[:, None]
+    covariance = axes @ np.linalg.inv(weighted.T @ weighted)[:3, :3] @ axes.T
+    sigma = np.sqrt(np.diag(covariance))
     if math.hypot(sigma[0], sigma[1]) > (EPH_MAX_2D_M if lacking == 1 else EPH_MAX_M):
         return _no_fix(count, "geometry too poor", last)
+    # With an assumed height the vertical velocity is assumed zero.
+    design, residual = np.column_stack([design[:, :3], np.zeros(len(root))]), np.zeros(len(root))
+    design[:count, 3] = 1.0
+    clock_rate_mps = SPEED_OF_LIGHT_MPS * geometry[SAT_CLOCK_RATE]
+    residual[:count] = doppler_mps - geometry[RANGE_RATE] + clock_rate_mps
+    motion = _least_squares(design, residual, root)
+    motion = np.zeros(4) if motion is None else motion
+    v_ecef_mps = motion[:3]
     return ReceiverFix(
         2 if lacking == 1 else 3,
         count,
-        out[kernel.POSITION : kernel.POSITION + 3],
-        float(out[kernel.GEODETIC]),
-        float(out[kernel.GEODETIC + 1]),
-        float(out[kernel.GEODETIC + 2]),
-        out[kernel.VELOCITY : kernel.VELOCITY + 3],
-        out[kernel.VELOCITY_NED : kernel.VELOCITY_NED + 3],
-        out[kernel.CLOCK : kernel.CLOCK + len(systems)],
-        float(out[kernel.DRIFT]),
+        x[:3],
+        lat,
+        lon,
+        height_m,
+        v_ecef_mps,
+        axes @ v_ecef_mps,
+        x[3:],
+        float(motion[3]),
         sigma,
     )
+
+
+def _least_squares(design: Vector, residual: Vector, root: Vector) -> Vector | None:
+    """Weighted solution, by square roots of the weights (n,); None without full rank."""
+    weighted, right = design * root[:, None], residual * root
+    solution, _, rank, _ = np.linalg.lstsq(weighted, right, rcond=RANK_TOLERANCE)
+    return np.asarray(solution, np.float64) if rank == design.shape[1] else None
 
 
 def _known_height(last: ReceiverFix | None) -> tuple[float, float]:
