@@ -17,7 +17,8 @@ import numpy as np
 from pyulog import ULog
 
 from analysis.flying.autopilot_evidence import collect_evidence
-from analysis.flying.flight_evidence import PATH, Evidence, FlightMark
+from analysis.flying.flight_evidence import PATH, Evidence
+from analysis.scoring.vehicle_outcome import VehicleEvent
 from mavproxy_fault.documents.yaml_document import write_yaml
 from mavproxy_fault.wire.tlog import read_columns
 
@@ -139,7 +140,7 @@ def flags(folder: Path) -> str:
     return listed(found.items())
 
 
-def resets(folder: Path, marks: list[FlightMark]) -> str:
+def resets(folder: Path, marks: list[VehicleEvent]) -> str:
     """List resets of the estimate: PX4's counters, ArduPilot's texts."""
     found = said(marks, "reset")
     for word, (topic, counter) in COUNTERS.items():
@@ -149,13 +150,13 @@ def resets(folder: Path, marks: list[FlightMark]) -> str:
     return listed(found)
 
 
-def lane_switch(folder: Path, marks: list[FlightMark]) -> str:
+def lane_switch(folder: Path, marks: list[VehicleEvent]) -> str:
     """List changes of the primary estimator."""
     times = changes(folder, "estimator_selector_status", "primary_instance")
     return listed([*said(marks, "lane switch"), *(("to another", t_s) for t_s in times[:1])])
 
 
-def failsafe(folder: Path, marks: list[FlightMark]) -> str:
+def failsafe(folder: Path, marks: list[VehicleEvent]) -> str:
     """List uncommanded changes of mode, and the texts that name a failsafe."""
     begin_us, landing_us = fault_us(folder)
     until_s = AT_S + (landing_us - begin_us) * 1e-6 - 0.1
@@ -207,12 +208,12 @@ def changes(folder: Path, topic: str, name: str) -> list[float]:
     return sorted(times)
 
 
-def said(marks: list[FlightMark], word: str) -> list[tuple[str, float]]:
+def said(marks: list[VehicleEvent], word: str) -> list[tuple[str, float]]:
     """Return the first warning that contains a word."""
     return [(text, t_s) for text, t_s in warnings(marks) if word in text.lower()][:1]
 
 
-def warnings(marks: list[FlightMark]) -> list[tuple[str, float]]:
+def warnings(marks: list[VehicleEvent]) -> list[tuple[str, float]]:
     """Return the autopilot's warnings, each with its time since the onset [s]."""
     return [
         (mark.text.strip(), mark.t_s - AT_S)

@@ -5,14 +5,18 @@ Cells with stored results are not flown again.
 """
 
 from collections.abc import Generator, Iterator, Mapping
+from contextlib import suppress
 from functools import cached_property
 from itertools import groupby, product
 from pathlib import Path
+
+import msgspec
 
 from analysis.campaign.bisection import HALVINGS, CriticalMagnitude, bisect_magnitude
 from analysis.campaign.campaign_file import CampaignFile, SubjectChoice
 from analysis.campaign.cell import HEALTHY, Cell, CellResult, file_key
 from analysis.campaign.flying.flight_job import FlightJob, Job, LaneJob, setup_by_name
+from analysis.campaign.outcomes import ABORTED
 from analysis.flying.flight_evidence import CampaignFlight
 from mavproxy_fault.documents.extras import import_extra
 
@@ -132,28 +136,20 @@ class CampaignPlan:
         )  # fmt: skip
         return frozenset((pairs[tuple(row[:2])], *row[2:]) for row in rows)
 
-    def _is_flown(self, cell: Cell) -> bool:
-        """Whether a cell is flown: of pairs under a covering array, only those in it."""
-        campaign = self.campaign
-        if campaign.cover == "all" or cell.fault not in campaign.pair_names:
-            return True
-        where = (cell.fault, cell.scenario, cell.onset, cell.duration_s, cell.seed)
-        return where in self._covering
-
     def _series(self) -> Iterator[Cell]:
         """Yield one cell of each series, without a magnitude."""
-        return filter(self._is_flown, self._all_series())
-
-    def _all_series(self) -> Iterator[Cell]:
         campaign = self.campaign
         for subject, scenario, fault, onset, duration_s, seed in product(
-            self.subjects, self.scenarios, campaign.all_faults.values(), campaign.onsets,
+            self.subjects, self.scenarios, campaign.all_faults, campaign.onsets,
             campaign.durations_s, campaign.seeds,
         ):  # fmt: skip
-            yield Cell(
-                subject=subject, scenario=scenario, fault=fault.name, onset=onset,
-                duration_s=duration_s, seed=seed,
-            )  # fmt: skip
+            # Of pairs under a covering array, only those in it are flown.
+            covered = campaign.cover != "all" and fault in campaign.pair_names
+            if not covered or (fault, scenario, onset, duration_s, seed) in self._covering:
+                yield Cell(
+                    subject=subject, scenario=scenario, fault=fault, onset=onset,
+                    duration_s=duration_s, seed=seed,
+                )  # fmt: skip
 
     def _grid(self) -> Iterator[list[Cell]]:
         """Yield the cells of each flight."""
@@ -180,48 +176,51 @@ class CampaignPlan:
         reference = references[self.reference_key(cells[0])]
         return FlightJob(self.campaign, cells, reference, self._folder(cells[0]))
 
+    def _bisect(
+        self, series: Cell, known: KnownResults
+    ) -> Generator[Cell, CellResult, CriticalMagnitude | None]:
+        """Bisect one series: yield the cells without a stored result, and return the critical
+        magnitude; an aborted flight ends it."""
+        search = bisect_magnitude(self.campaign.all_faults[series.fault].interval())
+        magnitude = next(search)
+        while True:
+            cell = cell_at(series, magnitude, series.subject)
+            result = known.get(cell.key) or (yield cell)
+            if result.outcome == ABORTED:
+                # Without an outcome the bisection cannot choose a half.
+                return None
+            try:
+                magnitude = search.send(self.campaign.limits.is_worse(result.outcome))
+            except StopIteration as over:
+                return over.value  # type: ignore[no-any-return]
+
     def _critical(
         self, series: Cell, known: KnownResults, references: Mapping[str, CampaignFlight]
     ) -> JobSequence:
-        """Bisect one series; an aborted flight ends it."""
-        search = bisect_magnitude(self.campaign.all_faults[series.fault].interval())
-        try:
-            magnitude = next(search)
+        """Yield the flights of the bisection of one series."""
+        search = self._bisect(series, known)
+        with suppress(StopIteration):
+            cell = next(search)
             while True:
-                cell = cell_at(series, magnitude, series.subject)
-                result = known.get(cell.key)
-                if result is None:
-                    (result,) = yield self._job((cell,), references)
-                if result.outcome == "aborted":
-                    # Without an outcome the bisection cannot choose a half.
-                    return
-                magnitude = search.send(self.campaign.limits.is_worse(result.outcome))
-        except StopIteration:
-            return
+                (result,) = yield self._job((cell,), references)
+                cell = search.send(result)
 
     def critical_magnitudes(self, known: KnownResults) -> dict[tuple[str, ...], CriticalMagnitude]:
         """Return the results of the completed bisections, by series."""
         results = {}
         for series in self._series():
-            search = bisect_magnitude(self.campaign.all_faults[series.fault].interval())
             try:
-                magnitude = next(search)
-                while (
-                    result := known.get(cell_at(series, magnitude, series.subject).key)
-                ) is not None:
-                    magnitude = search.send(self.campaign.limits.is_worse(result.outcome))
-            # The result is the generator's return value.
+                # One that needs a flight is not complete.
+                next(self._bisect(series, known))
             except StopIteration as over:
-                results[series.series] = over.value
+                if over.value is not None:
+                    results[series.series] = over.value
         return results
 
 
 def cell_at(series: Cell, magnitude: float | None, subject: str) -> Cell:
     """Return the cell of a series with this magnitude and subject."""
-    return Cell(
-        subject=subject, scenario=series.scenario, fault=series.fault, magnitude=magnitude,
-        onset=series.onset, duration_s=series.duration_s, seed=series.seed,
-    )  # fmt: skip
+    return msgspec.structs.replace(series, magnitude=magnitude, subject=subject)
 
 
 def _single_job(job: Job) -> JobSequence:

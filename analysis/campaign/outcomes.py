@@ -18,9 +18,8 @@ from analysis.flying.flight_evidence import (
     POSITION,
     Evidence,
     EvidenceCurve,
-    FlightMark,
 )
-from analysis.scoring.vehicle_outcome import FLEW_AWAY, UNAFFECTED, VEHICLE_OUTCOMES
+from analysis.scoring.vehicle_outcome import FLEW_AWAY, UNAFFECTED, VEHICLE_OUTCOMES, VehicleEvent
 
 LOST = "lost"  # of an estimate, while the vehicle may be well, and of a flight that ended early
 BEST = VEHICLE_OUTCOMES.index(UNAFFECTED)
@@ -89,7 +88,7 @@ def classify_flight(
     if largest_error(flight, ATTITUDE, onset_s) > limits.lost_deg or (
         largest_error(flight, POSITION, onset_s) > limits.lost_m and not has_path
     ):
-        new.append(FlightMark(onset_s, LOST))
+        new.append(VehicleEvent(onset_s, LOST))
     # Reversed, so that the earliest of each kind stays in the dictionary.
     first = {mark.kind: mark for mark in reversed(new)}
     detected, failsafe = first.get("detected"), first.get("failsafe")
@@ -184,11 +183,11 @@ def recovery_s(t_s: Vector, beyond: Vector, limit: float, ends_s: float) -> floa
 
 
 def new_marks(
-    flight: Sequence[FlightMark], reference: Sequence[FlightMark], onset_s: float
-) -> list[FlightMark]:
+    flight: Sequence[VehicleEvent], reference: Sequence[VehicleEvent], onset_s: float
+) -> list[VehicleEvent]:
     """Return the marks since the onset that the reference flight lacks at the same time."""
 
-    def in_reference(mark: FlightMark) -> bool:
+    def in_reference(mark: VehicleEvent) -> bool:
         return any(
             (other.kind, other.text) == (mark.kind, mark.text)
             and abs(other.t_s - mark.t_s) <= SAME_EVENT_S

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.flying.flight_evidence import ATTITUDE, PATH, Evidence, EvidenceCurve, FlightMark
+from analysis.flying.flight_evidence import ATTITUDE, PATH, Evidence, EvidenceCurve
 from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.judging.vehicle_record import vehicle_outcome
 from analysis.report.recordings.from_tlog import recording_of_tlog
 from analysis.results import AttitudeError, read_results
 from analysis.scoring.attitude_scoring import AUTOPILOTS
-from analysis.scoring.vehicle_outcome import BAD_ENDS, DEGRADED, outcome_rank
+from analysis.scoring.vehicle_outcome import BAD_ENDS, DEGRADED, VehicleEvent, outcome_rank
 from mavproxy_fault.numerics.earth import curvature_radii
 from mavproxy_fault.numerics.rotations.rotation import wrap_angles
 from mavproxy_fault.wire.tlog import Columns, read_columns
@@ -43,7 +43,7 @@ def collect_evidence(folder: Path) -> tuple[Evidence, float]:
     marks = vehicle_marks(columns, round(off_ground_s * 1e6)) + text_marks(columns, since)
     if summary["ended_early"]:
         end_s = float(since(truth["t_us"][-1:])[0])
-        marks.append(FlightMark(end_s, "lost", summary["ended_early"]))
+        marks.append(VehicleEvent(end_s, "lost", summary["ended_early"]))
     landing_s = summary["moments_s"].get("landing", math.inf) - float(off_ground_s)
     marks = sorted(
         (mark for mark in marks if belongs_to_flight(mark, landing_s)), key=lambda mark: mark.t_s
@@ -51,7 +51,7 @@ def collect_evidence(folder: Path) -> tuple[Evidence, float]:
     return Evidence(curves, marks), float(since(truth["t_us"][-1:])[0])
 
 
-def belongs_to_flight(mark: FlightMark, landing_s: float) -> bool:
+def belongs_to_flight(mark: VehicleEvent, landing_s: float) -> bool:
     """Whether a mark counts: between take-off and the landing command, or a bad end.
 
     Modes and flags during the landing depend on the touchdown, whose time varies between flights.
@@ -101,17 +101,13 @@ def _rate_hz(rows: LogRows) -> float:
     return 1e6 * (len(stamps) - 1) / max(1.0, float(stamps[-1] - stamps[0]))
 
 
-def vehicle_marks(columns: Columns, t0_us: int) -> list[FlightMark]:
+def vehicle_marks(columns: Columns, t0_us: int) -> list[VehicleEvent]:
     """What happened to the vehicle, by seconds from `t0_us`, as in the summary of the run."""
     found = vehicle_outcome(add_derived_curves(recording_of_tlog(columns, t0_us=t0_us)))
-    return [
-        FlightMark(event.t_s, event.kind, event.text)
-        for event in found.events
-        if outcome_rank(event.kind) > outcome_rank(DEGRADED)
-    ]
+    return [one for one in found.events if outcome_rank(one.kind) > outcome_rank(DEGRADED)]
 
 
-def text_marks(columns: Columns, since: Any) -> list[FlightMark]:
+def text_marks(columns: Columns, since: Any) -> list[VehicleEvent]:
     """Return a mark for each warning of the autopilot and each change of its estimator flags."""
     marks = []
     if "STATUSTEXT" in columns:
@@ -119,7 +115,7 @@ def text_marks(columns: Columns, since: Any) -> list[FlightMark]:
         rows = rows[(rows["severity"] <= WARNING) & (rows["component"] == 1)]
         for t_s, text in zip(since(rows["t_us"]).tolist(), rows["text"], strict=True):
             message = bytes(text).split(b"\0")[0].decode("utf-8", "replace")
-            marks.append(FlightMark(round(t_s, 3), "detected", message))
+            marks.append(VehicleEvent(round(t_s, 3), "detected", message))
     for name in ("EKF_STATUS_REPORT", "ESTIMATOR_STATUS"):
         if name in columns:
             # Each value is compared with the previous one.
@@ -128,5 +124,7 @@ def text_marks(columns: Columns, since: Any) -> list[FlightMark]:
             for t_s, flags in zip(
                 since(rows["t_us"])[changed].tolist(), rows["flags"][changed], strict=True
             ):
-                marks.append(FlightMark(round(t_s, 3), "detected", f"{name} flags {int(flags):#x}"))
+                marks.append(
+                    VehicleEvent(round(t_s, 3), "detected", f"{name} flags {int(flags):#x}")
+                )
     return marks

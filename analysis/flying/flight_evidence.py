@@ -6,16 +6,9 @@ from typing import Any
 import msgspec
 
 from analysis.scoring.requirements import RequirementResult
+from analysis.scoring.vehicle_outcome import VehicleEvent
 
 MONITOR = "monitor"  # the subject name of the project's own detector
-
-
-class FlightMark(msgspec.Struct, frozen=True):
-    """An event of the flight; `kind` is one of `outcomes.RANKS`."""
-
-    t_s: float
-    kind: str
-    text: str = ""
 
 
 class EvidenceCurve(msgspec.Struct, frozen=True):
@@ -29,7 +22,7 @@ class Evidence(msgspec.Struct, frozen=True):
     """Records of a subject in a flight: curves by name, and marks in order of time."""
 
     curves: dict[str, EvidenceCurve] = {}
-    marks: list[FlightMark] = []
+    marks: list[VehicleEvent] = []
 
 
 ATTITUDE, POSITION = "attitude error, deg", "position error, m"
@@ -57,7 +50,7 @@ def monitor_verdict(faults: Sequence[Mapping[str, Any]]) -> CellVerdict:
 
 class CampaignFlight(msgspec.Struct, frozen=True):
     """A completed flight: evidence and requirements by subject, start of each phase [s], duration,
-    and start of the first fault."""
+    start of the first fault, and the attitude scores of a run's summary."""
 
     evidence: dict[str, Evidence]
     phases: dict[str, float] = {}
@@ -68,6 +61,7 @@ class CampaignFlight(msgspec.Struct, frozen=True):
     failed: str = ""
     requirements: dict[str, list[RequirementResult]] = {}
     fault_s: float | None = None
+    attitude: dict[str, Any] = {}
 
     @property
     def behaviour(self) -> str:

@@ -6,7 +6,7 @@ subjects share it.
 
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +19,6 @@ from analysis.flying.flight_evidence import (
     CampaignFlight,
     Evidence,
     EvidenceCurve,
-    FlightMark,
     monitor_verdict,
 )
 from analysis.flying.flight_phases import PhaseTracker
@@ -34,10 +33,12 @@ from analysis.run.reference_flight import BATCH_BYTES
 from analysis.run.run_setup import RunSetup
 from analysis.scoring.criteria import Criteria
 from analysis.scoring.requirements import RequirementResult
+from analysis.scoring.vehicle_outcome import VehicleEvent
 from mavproxy_fault.app.recorder import SENT, Recorder
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.tlog import read_columns
+from simvehicle.vehicles.body import Truth
 
 TRACK_US = 100_000
 WIDEST_DEG = 180.0
@@ -45,9 +46,13 @@ Vector = NDArray[np.float64]
 
 
 def run_simulated_flight(
-    setup: RunSetup, subjects: Sequence[str], keep: Path | None = None
+    setup: RunSetup,
+    subjects: Sequence[str],
+    keep: Path | None = None,
+    stop: Callable[[Truth], bool] | None = None,
 ) -> CampaignFlight:
-    """Fly a scenario and collect the evidence by subject; `keep` is the folder for the logs."""
+    """Fly a scenario to its end, or until a truth makes it `stop`, and collect the evidence by
+    subject; `keep` is the folder for the logs."""
     started_s = time.monotonic()
     flight, monitor = ProxiedFlight(setup.scenario, setup.schedule), Monitor(setup.monitor)
     phases, results = PhaseTracker(), list[Result]()
@@ -55,6 +60,8 @@ def run_simulated_flight(
     next_us, batch = 0, bytearray()
     while not flight.finished:
         batch += flight.advance([]).monitor
+        if stop is not None and stop(flight.simulation.truth):
+            break
         if flight.t_us >= next_us:
             next_us = flight.t_us + TRACK_US
             if len(batch) >= BATCH_BYTES:
@@ -85,8 +92,9 @@ def run_simulated_flight(
     summary = monitor.summary(completed, Criteria(), 0.0)
     begun_us = min((label.start_us for label in completed), default=None)
     return CampaignFlight(
-        evidence, phases.begin_s, setup.scenario.duration_s, time.monotonic() - started_s,
-        verdict=monitor_verdict(summary["faults"]), requirements=judged,
+        evidence, phases.begin_s, flight.t_us * 1e-6, time.monotonic() - started_s,
+        attitude=summary["attitude"], verdict=monitor_verdict(summary["faults"]),
+        requirements=judged,
         fault_s=None if begun_us is None else round((begun_us - t0_us) * 1e-6, 3),
     )  # fmt: skip
 
@@ -132,10 +140,10 @@ def estimator_evidence(results: Sequence[Result], name: str, t0_us: int) -> Evid
     return Evidence({ATTITUDE: curve})
 
 
-def alarm_marks(results: Sequence[Result], t0_us: int) -> list[FlightMark]:
+def alarm_marks(results: Sequence[Result], t0_us: int) -> list[VehicleEvent]:
     """The alarms among the results of detectors, by seconds from `t0_us`."""
     return [
-        FlightMark(_seconds(r, t0_us), "detected", r.sensor)
+        VehicleEvent(_seconds(r, t0_us), "detected", r.sensor)
         for r in results
         if isinstance(r, SensorDecision) and r.alarm
     ]
@@ -154,7 +162,7 @@ def monitor_evidence(results: Sequence[Result], track: Vector, t0_us: int) -> Ev
             [_seconds(d, t0_us) for d in fixes], error.round(3).tolist()
         )
     alarms = [
-        FlightMark(_seconds(d, t0_us), "detected", d.hypothesis) for d in decisions if d.alarm
+        VehicleEvent(_seconds(d, t0_us), "detected", d.hypothesis) for d in decisions if d.alarm
     ]
     alarms += alarm_marks(results, t0_us)
     return Evidence(curves, sorted(alarms, key=lambda mark: mark.t_s))

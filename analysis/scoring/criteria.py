@@ -84,7 +84,7 @@ def receiver_criteria(with_truth: bool) -> Criteria:
     return msgspec.structs.replace(criteria, max_horizontal_95_m=8.0, max_vertical_95_m=13.0)
 
 
-class CriterionCheck(msgspec.Struct, frozen=True, kw_only=True):
+class CriterionCheck(msgspec.Struct, frozen=True):
     """One criterion, its value, and whether it passed (None: the data are insufficient)."""
 
     name: str
@@ -98,39 +98,25 @@ def check_criteria(criteria: Criteria, summary: Mapping[str, Any]) -> list[Crite
     rows = summary["faults"]
     # Without labels no alarm can be called false.
     checks = [] if summary["false_by_channel"] is None else _check_faults(criteria, summary)
-    checks += [
-        CriterionCheck(
-            name=f"{id} detected",
-            limit="detected",
-            value=_verdicts(rows, id),
-            passed=_all(rows, id, "detected", True),
-        )
-        for id in criteria.must_detect
-    ]
-    checks += [
-        CriterionCheck(
-            name=f"{id} isolated",
-            limit="isolated",
-            value=_verdicts(rows, id),
-            passed=_all(rows, id, "verdict", ISOLATED),
-        )
-        for id in criteria.must_isolate
-    ]
+    for ids, word, key, value in (
+        (criteria.must_detect, "detected", "detected", True),
+        (criteria.must_isolate, "isolated", "verdict", ISOLATED),
+    ):
+        for id in ids:
+            own = [row for row in rows if row["id"] == id]
+            verdicts = ", ".join(dict.fromkeys(str(row["verdict"]) for row in own))
+            # A fault that never acted was not detected.
+            right = bool(own) and all(row[key] == value for row in own)
+            checks.append(CriterionCheck(f"{id} {word}", word, verdicts or "never acted", right))
     delays = [row["delay_s"] for row in rows if row["delay_s"] is not None]
-    attitude = summary["attitude_rmse_deg"]
+    attitude = summary["attitude_rmse_deg"] or {}
     errors = summary.get("position_error", {}).get("filter", {})
-    limits: tuple[tuple[str, float | None, float | None], ...] = (
+    for name, most, found in (
         ("largest detection delay, s", criteria.max_delay_s, max(delays, default=None)),
         ("false alarms", criteria.max_false_alarms, summary["false_alarms"]),
         ("untestable epochs", criteria.max_untestable_epochs, summary["untestable_epochs"]),
-        (
-            "attitude RMSE, degrees",
-            criteria.max_attitude_rmse_deg,
-            attitude["max"] if attitude else None,
-        ),
+        ("attitude RMSE, degrees", criteria.max_attitude_rmse_deg, attitude.get("max")),
         ("position RMSE, m", criteria.max_position_rmse_m, summary["position_rmse_m"]),
-    )
-    limits += (
         (
             "horizontal error at 95 %, m",
             criteria.max_horizontal_95_m,
@@ -142,16 +128,21 @@ def check_criteria(criteria: Criteria, summary: Mapping[str, Any]) -> list[Crite
             criteria.max_unexplained_share,
             _epoch_share(summary, "unexplained_epochs"),
         ),
-    )
-    checks += [
-        # No value, no verdict: a flight without measurement does not pass.
-        CriterionCheck(
-            name=name, limit=limit, value=value, passed=None if value is None else value <= limit
-        )
-        for name, limit, value in limits
-        if limit is not None
-    ]
-    return [*checks, *_check_tested(criteria, summary)]
+    ):
+        checks += _at_most(name, most, found)
+    least, untested = criteria.min_tested_share, _epoch_share(summary, "untestable_epochs")
+    if least is not None:
+        tested = None if untested is None else round(1.0 - untested, 4)
+        passed = None if tested is None else tested >= least
+        checks.append(CriterionCheck("share of epochs tested", least, tested, passed))
+    return checks
+
+
+def _at_most(name: str, most: float | None, value: float | None) -> list[CriterionCheck]:
+    """The check of an upper limit, if there is one; without a value it has no verdict."""
+    if most is None:
+        return []
+    return [CriterionCheck(name, most, value, None if value is None else value <= most)]
 
 
 def check_vehicle(
@@ -174,25 +165,16 @@ def check_vehicle(
         passed = None if rank < 0 else rank <= outcome_rank(worst_allowed(limit))
         # An autopilot that reports a crash never passes.
         passed = passed and found.outcome != CRASHED
-        checks.append(_vehicle_check("vehicle outcome", limit, found.outcome, passed))
+        checks.append(CriterionCheck("vehicle outcome", limit, found.outcome, passed))
     if criteria.failsafe is not None:
         checks.append(_check_failsafe(criteria.failsafe, found, onset_s))
-    for name, most, value in (
-        ("impact, m/s", criteria.impact_mps, found.impact_mps),
-        ("excursion, m", criteria.excursion_m, found.excursion_m),
-    ):
-        if most is not None:
-            passed = None if value is None else value <= most
-            checks.append(_vehicle_check(name, most, value, passed))
-    return checks
+    checks += _at_most("impact, m/s", criteria.impact_mps, found.impact_mps)
+    return checks + _at_most("excursion, m", criteria.excursion_m, found.excursion_m)
 
 
 def check_requirements(results: Sequence[RequirementResult]) -> list[CriterionCheck]:
     """Return a check for each requirement; one that the flight does not show has no verdict."""
-    return [
-        CriterionCheck(name=one.name, limit=one.formula, value=one.describe(), passed=one.met)
-        for one in results
-    ]
+    return [CriterionCheck(one.name, one.formula, one.describe(), one.met) for one in results]
 
 
 def _check_failsafe(
@@ -211,23 +193,7 @@ def _check_failsafe(
     passed = after_s is not None and (wanted.within_s is None or after_s <= wanted.within_s)
     others = ", ".join(event.text.partition(":")[0] for event in acted) or "none"
     value = others if after_s is None else f"{wanted.mode} after {after_s:.1f} s"
-    return _vehicle_check("failsafe", wanted.mode + within, value, passed)
-
-
-def _vehicle_check(
-    name: str, limit: float | str, value: float | str | None, passed: bool | None
-) -> CriterionCheck:
-    return CriterionCheck(name=name, limit=limit, value=value, passed=passed)
-
-
-def _check_tested(criteria: Criteria, summary: Mapping[str, Any]) -> list[CriterionCheck]:
-    """Check that enough epochs could be tested."""
-    limit, untested = criteria.min_tested_share, _epoch_share(summary, "untestable_epochs")
-    if limit is None:
-        return []
-    tested = None if untested is None else round(1.0 - untested, 4)
-    passed = None if tested is None else tested >= limit
-    return [CriterionCheck(name="share of epochs tested", limit=limit, value=tested, passed=passed)]
+    return CriterionCheck("failsafe", wanted.mode + within, value, passed)
 
 
 def _epoch_share(summary: Mapping[str, Any], key: str) -> float | None:
@@ -245,7 +211,7 @@ def _check_faults(criteria: Criteria, summary: Mapping[str, Any]) -> list[Criter
         if not {name, row["channel"]} & set(criteria.may_blame)
     ]
     names = _none_or(dict.fromkeys(isolated))
-    wrong = CriterionCheck(name="isolated wrongly", limit="none", value=names, passed=not isolated)
+    wrong = CriterionCheck("isolated wrongly", "none", names, not isolated)
     return [*check_missed_faults(criteria, summary["faults"]), wrong]
 
 
@@ -266,7 +232,7 @@ def check_missed_faults(
     judged = any(row["verdict"] != NOT_JUDGED for row in rows)
     names = _none_or(dict.fromkeys(missed)) if judged else None
     passed = not missed if judged else None
-    return [CriterionCheck(name="faults missed", limit="none", value=names, passed=passed)]
+    return [CriterionCheck("faults missed", "none", names, passed)]
 
 
 def _none_or(names: Mapping[str, None]) -> str:
@@ -280,15 +246,3 @@ def overall_verdict(checks: Sequence[CriterionCheck]) -> str:
     # An empty list of checks does not pass.
     all_passed = checks and all(check.passed for check in checks)
     return "PASS" if all_passed else "NO VERDICT"
-
-
-def _all(rows: Sequence[Mapping[str, Any]], id: str, key: str, value: object) -> bool:
-    """Whether every interval in which a fault acted has this value; False if it never acted."""
-    own = [row[key] == value for row in rows if row["id"] == id]
-    # A fault that never acted was not detected.
-    return bool(own) and all(own)
-
-
-def _verdicts(rows: Sequence[Mapping[str, Any]], id: str) -> str:
-    verdicts = dict.fromkeys(str(row["verdict"]) for row in rows if row["id"] == id)
-    return ", ".join(verdicts) or "never acted"

@@ -114,7 +114,8 @@ class VehicleRecord(NamedTuple):
 
 
 class VehicleEvent(msgspec.Struct, frozen=True):
-    """One event of a flight; `kind` is one of `VEHICLE_OUTCOMES`, take-off or touchdown."""
+    """One event of a flight; `kind` is one of `VEHICLE_OUTCOMES`, take-off or touchdown, in a
+    campaign one of `outcomes.RANKS`."""
 
     t_s: float
     kind: str

@@ -17,8 +17,8 @@ from analysis.report.judging.check_limits import Thresholds
 from analysis.report.log_report import write_report
 from analysis.report.recordings.flight_sources import read_flight
 from analysis.search.archive import Case
+from analysis.search.evaluation.point_flight import fly_point, schedule_of, write_scenario
 from analysis.search.evaluation.simulated_batch import SimulatedBatch
-from analysis.search.evaluation.violation import fly_violation, schedule_of, write_scenario
 from analysis.search.lanes.noise_kernel import seed_of
 from analysis.search.shrink import Values, drop_faults, shrink_faults
 from analysis.search.space.fault_picks import expand_picks
@@ -103,11 +103,12 @@ def reduce_case(test: TestFile, case: Case, folder: Path) -> Counterexample:
     for _ in range(test.rescore_draws):
         shutil.rmtree(folder / "with", ignore_errors=True)
         flights.count += 1
-        found, flight = fly_violation(test, document, folder / "with")
+        flight = fly_point(test, document, folder / "with")
+        (found,) = flight.requirements[test.estimator]
         if found.met is False:
             break
     calm = {**document, "schedule": {**document["schedule"], "faults": []}}
-    fly_violation(test, calm, folder / "without")
+    fly_point(test, calm, folder / "without")
     write_curves(test, folder)
     return Counterexample(
         violation=f"{found.name}: {found.describe()}", faults=document["schedule"]["faults"],

@@ -36,33 +36,30 @@ class History:
             # Results of another search would mislead the searcher silently.
             raise ConfigError(f"{folder}: holds another search; give an empty folder to --out")
         key.write_text(text)
-        self._path = folder / "history.bin"
-        data = self._path.read_bytes() if self._path.exists() else b""
+        self._file = (folder / "history.bin").open("a+b")
+        self._file.seek(0)
+        data = self._file.read()
         # Only complete records: the last one may be cut off.
         self._known = np.frombuffer(data[: len(data) // RECORD.itemsize * RECORD.itemsize], RECORD)
-        self._used = 0
-        # "r+b" keeps the content; "a" could not overwrite an incomplete record.
-        self._file = self._path.open("r+b" if data else "w+b")
+        self._keep(self._known.nbytes)
+
+    def _keep(self, size: int) -> None:
+        self._file.truncate(size)
+        self._file.seek(size)
 
     def recall(self, count: int) -> Records | None:
         """The next `count` records; None, from then on, if there are fewer."""
-        if self._used + count > len(self._known):
-            # The rest belongs to an incomplete batch: from here on everything is flown.
-            self._known = self._known[: self._used]
-            return None
-        self._used += count
-        return self._known[self._used - count : self._used]
+        records, self._known = self._known[:count], self._known[count:]
+        if len(records) == count:
+            return records
+        # These belong to an incomplete batch: from here on everything is flown.
+        self._keep(self._file.tell() - records.nbytes)
+        return None
 
     def append(self, records: Records) -> None:
-        """Append a batch after the last one recalled or written; flushed on return."""
-        self._file.seek(self._used * RECORD.itemsize)
-        # After the last used record, over the remains of an interrupted batch.
-        self._file.truncate()
+        """Append a batch that was not recalled; flushed on return."""
         self._file.write(records.tobytes())
         self._file.flush()
-        self._used += len(records)
-        # Nothing may be recalled after a write.
-        self._known = self._known[:0] if self._used > len(self._known) else self._known
 
     def close(self) -> None:
         """Close the file."""

@@ -1,6 +1,5 @@
 """An interactive search: one traced test at a time, saved on request."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -91,10 +90,7 @@ class SearchSession:
         assert self.trace is not None
         self.folder.mkdir(parents=True, exist_ok=True)
         table = self.folder / f"test-{self.number:04}.csv"
-        with table.open("w", newline="") as file:
-            writer = csv.writer(file)
-            writer.writerow(COLUMNS)
-            writer.writerows(table_of(self.trace).tolist())
+        np.savetxt(table, table_of(self.trace), "%.9g", ",", header=",".join(COLUMNS), comments="")
         case = self.folder / f"test-{self.number:04}.yaml"
         case.write_text(yaml_of_test(pin_values(self.test, self.values)))
         return [table, case]

@@ -13,16 +13,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.run.proxied_flight import ProxiedFlight
-from analysis.samples.decoder import Decoder
 from analysis.scoring.attitude_scores import AXES
-from analysis.scoring.attitude_scoring import AttitudeConfig, AttitudeScorer
 from analysis.search.evaluation.evaluator import (
     EvaluationOutcome,
     Evaluator,
     average_draws,
 )
-from analysis.search.evaluation.violation import fly_violation
+from analysis.search.evaluation.point_flight import fly_point
 from analysis.search.lanes.noise_kernel import seed_of
 from analysis.search.space.airframe import has_rotors, read_airframe, trim_values
 from analysis.search.space.dimensions import Space, fault_entries, flight_entries, space_of
@@ -32,10 +29,7 @@ from analysis.search.space.test_file import FlightEnvelope, TestFile
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
-from mavproxy_fault.schedule.entries import Schedule, parse_schedule
-from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.label import Label
-from mavproxy_fault.wire.parser import Parser
+from mavproxy_fault.schedule.entries import parse_schedule
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.vehicles.body import Truth
 
@@ -44,7 +38,7 @@ Array = NDArray[np.float64]
 
 class FlightScores(NamedTuple):
     """Scores of one flight: `rmse_deg` and `largest_deg` (4,) as in `EvaluationOutcome`; `parts` as
-    `parted` gives.
+    `score_breakdown` gives.
 
     `broken_limit` is the number of the limit that ended it, as in `rows.LIMITS`.
     """
@@ -55,26 +49,6 @@ class FlightScores(NamedTuple):
     broken_limit: int
     steps: int
     parts: dict[str, Any]
-
-
-class FlightScorer:
-    """Scores the bytes of a flight."""
-
-    def __init__(self, config: AttitudeConfig) -> None:
-        self._parser, self._decoder = Parser(), Decoder()
-        self._scorer = AttitudeScorer(config)
-        self._state = self._scorer.new_state()
-
-    def add_bytes(self, data: bytes) -> None:
-        """Add bytes that the proxy sent to the monitor."""
-        items = self._parser.push(data, datagram=False)
-        # Only verified frames are used, as by the monitor itself.
-        block = self._decoder.decode(item for item in items if isinstance(item, Frame))
-        _, self._state = self._scorer.step(block, self._state)
-
-    def summary(self, labels: Sequence[Label]) -> dict[str, Any]:
-        """Scores by estimator."""
-        return self._scorer.summary(self._state, labels)
 
 
 @dataclass(frozen=True)
@@ -119,7 +93,7 @@ class SimulatedBatch(Evaluator):
         return score_flight(self.test, document_of(self.test, values, seed_of(seed, number)))
 
 
-def decode_document(document: Document) -> tuple[Scenario, Schedule]:
+def check_document(document: Document) -> None:
     """Decode a scenario and its faults.
 
     Raises
@@ -133,49 +107,34 @@ def decode_document(document: Document) -> tuple[Scenario, Schedule]:
         scenario = msgspec.convert(document, Scenario)
     except msgspec.ValidationError as error:
         raise ConfigError(f"{where}: {error}; narrow its range in vary") from error
-    return scenario, parse_schedule({"seed": scenario.seed, **document["schedule"]}, where)
+    parse_schedule({"seed": scenario.seed, **document["schedule"]}, where)
 
 
 def score_flight(test: TestFile, document: Document) -> FlightScores:
-    """Fly a scenario until its end or until it leaves the envelope, and score the estimator."""
+    """Fly a scenario until its end or until it leaves the envelope, and score the estimator, or how
+    far the requirement is violated."""
+    check_document(document)
+    hovers, broken_limit = test.scenario is None and has_rotors(test.vehicle), 0
+
+    def leaves(truth: Truth) -> bool:
+        nonlocal broken_limit
+        broken_limit = envelope_violation(truth, test.envelope, hovers)
+        return broken_limit > 0
+
     if test.violate is not None:
-        return score_violation(test, document)
-    scenario, schedule = decode_document(document)
-    scorer = FlightScorer(msgspec.convert(document["monitor"]["attitude"], AttitudeConfig))
-
-    hovers = test.scenario is None and has_rotors(test.vehicle)
-
-    def limit(truth: Truth) -> int:
-        return envelope_violation(truth, test.envelope, hovers)
-
-    flight = ProxiedFlight(scenario, schedule)
-    broken_limit = steps = 0
-    # The envelope is checked after each step and ends the flight.
-    while not flight.finished and broken_limit == 0:
-        scorer.add_bytes(flight.advance([]).monitor)
-        broken_limit, steps = limit(flight.simulation.truth), steps + 1
-    # Frames that faults still hold back are sent now.
-    scorer.add_bytes(flight.finish().monitor)
-    flight.drain_labels()
-    parts = scorer.summary(flight.completed_labels()).get(test.estimator, {})
-    rmse, largest = parts.get("rmse_deg", {}), parts.get("max_deg", {})
-    return FlightScores(
-        np.array([rmse.get(axis, 0.0) for axis in AXES]),
-        np.array([largest.get(axis, 0.0) for axis in AXES]),
-        flight.t_us * 1e-6,
-        broken_limit,
-        steps,
-        parts,
-    )
-
-
-def score_violation(test: TestFile, document: Document) -> FlightScores:
-    """Like `score_flight`, with how far the requirement is violated in the place of errors."""
-    decode_document(document)
-    found, flight = fly_violation(test, document)
-    violated = np.full(4, -found.fitness)
-    parts = {"requirement": msgspec.to_builtins(found), "behaviour": flight.behaviour}
-    return FlightScores(violated, violated, flight.duration_s, 0, 0, parts)
+        flight = fly_point(test, document)
+        (found,) = flight.requirements[test.estimator]
+        rmse = largest = np.full(4, -found.fitness)
+        parts = {"requirement": msgspec.to_builtins(found), "behaviour": flight.behaviour}
+    else:
+        flight = fly_point(test, document, stop=leaves)
+        parts = flight.attitude.get(test.estimator, {})
+        rmse, largest = (
+            np.array([parts.get(key, {}).get(axis, 0.0) for axis in AXES])
+            for key in ("rmse_deg", "max_deg")
+        )
+    steps = round(flight.duration_s / test.dt_s)
+    return FlightScores(rmse, largest, flight.duration_s, broken_limit, steps, parts)
 
 
 def envelope_violation(truth: Truth, limits: FlightEnvelope, hovers: bool) -> int:

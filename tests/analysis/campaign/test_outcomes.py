@@ -2,14 +2,15 @@ import pytest
 
 from analysis.campaign.cell import Cell
 from analysis.campaign.outcomes import OutcomeLimits, classify_flight, outcome_rank
-from analysis.flying.flight_evidence import ATTITUDE, POSITION, Evidence, EvidenceCurve, FlightMark
+from analysis.flying.flight_evidence import ATTITUDE, POSITION, Evidence, EvidenceCurve
+from analysis.scoring.vehicle_outcome import VehicleEvent
 
 CELL = Cell(subject="s", scenario="x", fault="f", magnitude=1.0, onset=10.0, duration_s=5.0)
 TIMES = [float(t) for t in range(31)]
 HEALTHY = [1.0] * 31
 
 
-def evidence(value: list[float], *marks: FlightMark, name: str = ATTITUDE) -> Evidence:
+def evidence(value: list[float], *marks: VehicleEvent, name: str = ATTITUDE) -> Evidence:
     return Evidence({name: EvidenceCurve(TIMES, value)}, list(marks))
 
 
@@ -66,24 +67,24 @@ def test_positions_have_their_own_limits() -> None:
 
 
 def test_a_new_alarm_is_a_detection_with_its_delay() -> None:
-    marks = FlightMark(5.0, "detected", "imu"), FlightMark(12.5, "detected", "imu")
+    marks = VehicleEvent(5.0, "detected", "imu"), VehicleEvent(12.5, "detected", "imu")
     result = outcome(evidence(HEALTHY, *marks))
     assert (result.outcome, result.detected_s, result.detected_by) == ("detected", 2.5, "imu")
 
 
 def test_an_alarm_of_the_reference_flight_is_no_detection() -> None:
-    reference = evidence(HEALTHY, FlightMark(12.0, "detected", "imu"))
+    reference = evidence(HEALTHY, VehicleEvent(12.0, "detected", "imu"))
     assert (
-        outcome(evidence(HEALTHY, FlightMark(12.5, "detected", "imu")), reference).outcome
+        outcome(evidence(HEALTHY, VehicleEvent(12.5, "detected", "imu")), reference).outcome
         == "unaffected"
     )
 
 
 def test_the_worst_outcome_counts() -> None:
     marks = [
-        FlightMark(11.0, "detected"),
-        FlightMark(12.0, "failsafe", "LAND"),
-        FlightMark(20.0, "crashed"),
+        VehicleEvent(11.0, "detected"),
+        VehicleEvent(12.0, "failsafe", "LAND"),
+        VehicleEvent(20.0, "crashed"),
     ]
     result = outcome(evidence(bump(6.0), *marks))
     assert (result.outcome, result.failsafe, result.failsafe_s) == ("crashed", "LAND", 2.0)

@@ -8,7 +8,8 @@ from analysis.flying.autopilot_evidence import (
     text_marks,
     vehicle_marks,
 )
-from analysis.flying.flight_evidence import ATTITUDE, PATH, Evidence, EvidenceCurve, FlightMark
+from analysis.flying.flight_evidence import ATTITUDE, PATH, Evidence, EvidenceCurve
+from analysis.scoring.vehicle_outcome import VehicleEvent
 from mavproxy_fault.wire.tlog import row_dtype
 
 T_US = np.arange(0, 20_000_000, 100_000)
@@ -83,12 +84,12 @@ def test_a_vehicle_off_the_reference_path_is_degraded() -> None:
 
 def test_after_the_command_to_land_only_a_bad_end_counts() -> None:
     landing_s = 40.0
-    failsafe = FlightMark(20.0, "failsafe", "LAND")
+    failsafe = VehicleEvent(20.0, "failsafe", "LAND")
     on_the_ground = [
-        FlightMark(55.0, "failsafe", "LOITER"),
-        FlightMark(54.0, "landed uncommanded", "not commanded"),
+        VehicleEvent(55.0, "failsafe", "LOITER"),
+        VehicleEvent(54.0, "landed uncommanded", "not commanded"),
     ]
-    crash = FlightMark(54.0, "crashed", "at 5.0 m/s")
-    before_take_off = FlightMark(-3.0, "detected", "EKF_STATUS_REPORT flags 0x1a5")
+    crash = VehicleEvent(54.0, "crashed", "at 5.0 m/s")
+    before_take_off = VehicleEvent(-3.0, "detected", "EKF_STATUS_REPORT flags 0x1a5")
     marks = [before_take_off, failsafe, *on_the_ground, crash]
     assert [mark for mark in marks if belongs_to_flight(mark, landing_s)] == [failsafe, crash]

@@ -6,14 +6,14 @@ import pytest
 import yaml
 
 from analysis.campaign.campaign_file import read_campaign
+from analysis.flying.internal_flight import run_simulated_flight
 from analysis.flying.onset import onset_keys
 from analysis.flying.worker_pool import InProcessPool
-from analysis.run.proxied_flight import ProxiedFlight
 from analysis.run.run_setup import read_setup
 from analysis.scoring.attitude_scoring import AttitudeConfig
 from analysis.search.cases import write_cases
 from analysis.search.evaluation.compiled_batch import Batch
-from analysis.search.evaluation.simulated_batch import FlightScorer, SimulatedBatch, score_flight
+from analysis.search.evaluation.simulated_batch import SimulatedBatch, score_flight
 from analysis.search.search_command import run_search
 from analysis.search.space.point_scenario import document_of
 from analysis.search.space.test_file import (
@@ -96,13 +96,7 @@ def test_a_worst_case_is_a_scenario_that_run_flies_to_the_same_error(tmp_path):
     ]
     for path, error in ((paths[0], cases[0].error_deg), (paths[3], cases[0].shrunk_deg)):
         setup = read_setup(str(path))
-        flight, watch = (
-            ProxiedFlight(setup.scenario, setup.schedule),
-            FlightScorer(setup.monitor.attitude),
-        )
-        while not flight.finished:
-            watch.add_bytes(flight.advance([]).monitor)
-        again = watch.summary([])["inverse-model"]["rmse_deg"]["max"]
+        again = run_simulated_flight(setup, []).attitude["inverse-model"]["rmse_deg"]["max"]
         assert again == pytest.approx(error, rel=0.05, abs=5.0 * 0.02)
 
 
@@ -125,13 +119,7 @@ def test_a_scenario_of_any_kind_is_searched_with_any_fault(tmp_path):
     setup = read_setup(str(path))
     assert setup.scenario.vehicle.kind == "multirotor"
     assert setup.monitor.attitude == AttitudeConfig(estimators=("mahony",))
-    flight, watch = (
-        ProxiedFlight(setup.scenario, setup.schedule),
-        FlightScorer(setup.monitor.attitude),
-    )
-    while not flight.finished:
-        watch.add_bytes(flight.advance([]).monitor)
-    rmse = watch.summary([])["mahony"]["rmse_deg"]
+    rmse = run_simulated_flight(setup, []).attitude["mahony"]["rmse_deg"]
     assert rmse["max"] == pytest.approx(cases[0].parts["rmse_deg"]["max"], rel=1e-9)
 
 

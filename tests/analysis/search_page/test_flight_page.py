@@ -1,5 +1,6 @@
 """The search's page: who may fly and save, and what is seen of it in a real browser."""
 
+import contextlib
 import json
 import threading
 import urllib.error
@@ -13,8 +14,10 @@ import pytest
 from analysis.search.search_session import SearchSession
 from analysis.search.space.fault_range import FaultRange
 from analysis.search.space.test_file import InitialState, TestFile
+from analysis.search_page.flight_routes import FlightPage
 from analysis.search_page.flights import Flights
-from analysis.search_page.search_server import make_flights, serve_search_page
+from analysis.search_page.search_server import make_flights
+from analysis.web.page_server import access_for, make_server, open_socket, serve_in_thread
 from mavproxy_fault.documents.errors import ConfigError
 
 TEST = TestFile(
@@ -22,6 +25,15 @@ TEST = TestFile(
     initial=InitialState(roll_deg=(-30.0, 30.0)),
     faults=[FaultRange(fault="bias", target="HIL_SENSOR.xgyro", value=(0.1, 0.3), at_s=0.5)],
 )
+
+
+@contextlib.contextmanager
+def serve_search_page(flights: Flights) -> Iterator[str]:
+    """Serve the page on a free port; yields the address to open."""
+    bound = open_socket(0)
+    access, address = access_for(bound)
+    with serve_in_thread(make_server(FlightPage(flights, access).app), bound):
+        yield address
 
 
 class HeldSession(SearchSession):
@@ -38,7 +50,7 @@ class HeldSession(SearchSession):
 
 @pytest.fixture
 def address(tmp_path: Path) -> Iterator[str]:
-    with serve_search_page(make_flights(TEST, tmp_path / "found"), port=0) as found:
+    with serve_search_page(make_flights(TEST, tmp_path / "found")) as found:
         yield found
 
 
@@ -71,7 +83,7 @@ def test_reading_is_open_and_flying_needs_the_token(address: str) -> None:
 
 def test_the_page_responds_while_a_test_is_in_flight(tmp_path: Path) -> None:
     session = HeldSession(TEST, tmp_path)
-    with serve_search_page(Flights(session), port=0) as address:
+    with serve_search_page(Flights(session)) as address:
         try:
             state = {"number": None, "flying": True, "failed": False}
             assert asked(address, "state", {}, None) == (200, state)
@@ -208,7 +220,7 @@ def test_a_narrow_screen_shows_all_of_a_flight(page: Any) -> None:
 @pytest.mark.browser
 def test_the_end_of_the_search_is_shown(browser: Any, tmp_path: Path) -> None:
     viewer = browser.new_page()
-    with serve_search_page(make_flights(TEST, tmp_path), port=0) as address:
+    with serve_search_page(make_flights(TEST, tmp_path)) as address:
         viewer.goto(address)
         viewer.wait_for_selector("#next:not([disabled])")
     viewer.wait_for_selector("#flying:has-text('the search has ended')")

@@ -1,7 +1,7 @@
-"""Fly a scenario with its faults, and judge the requirement that a search tries to violate."""
+"""Fly the scenario of a point with its faults, in the simulator or with an autopilot."""
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,16 +10,20 @@ from analysis.flying.autopilot_cell import run_autopilot_cell
 from analysis.flying.flight_evidence import CampaignFlight
 from analysis.flying.internal_flight import run_simulated_flight
 from analysis.run.run_setup import read_setup
-from analysis.scoring.requirements import RequirementResult
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.yaml_document import without_none, write_yaml
 from mavproxy_fault.schedule.entries import parse_schedule
+from simvehicle.vehicles.body import Truth
 
 
-def fly_violation(
-    test: TestFile, document: Mapping[str, Any], keep: Path | None = None
-) -> tuple[RequirementResult, CampaignFlight]:
-    """Fly the scenario of a point; `keep` is the folder for the logs.
+def fly_point(
+    test: TestFile,
+    document: Mapping[str, Any],
+    keep: Path | None = None,
+    stop: Callable[[Truth], bool] | None = None,
+) -> CampaignFlight:
+    """Fly the scenario of a point; `keep` is the folder for the logs, a truth may `stop` the
+    simulator.
 
     Raises
     ------
@@ -32,14 +36,11 @@ def fly_violation(
         file = write_scenario(document, folder)
         if test.autopilot is not None:
             run = [file, *test.autopilot.options()]
-            flight = run_autopilot_cell(
+            return run_autopilot_cell(
                 test.estimator, run, schedule, folder, kept=False, must_act=False
             )
-        else:
-            setup = replace(read_setup(file), schedule=parse_schedule(schedule, "the search"))
-            flight = run_simulated_flight(setup, [test.estimator], keep)
-    (judged,) = flight.requirements[test.estimator]
-    return judged, flight
+        setup = replace(read_setup(file), schedule=parse_schedule(schedule, "the search"))
+        return run_simulated_flight(setup, [test.estimator], keep, stop)
 
 
 def write_scenario(document: Mapping[str, Any], folder: Path) -> str:
