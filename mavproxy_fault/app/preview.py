@@ -1,7 +1,7 @@
 """Plots of faults: the engine applied to synthetic healthy data, drawn with matplotlib."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,7 +25,10 @@ LONGEST_S = 60.0
 OPEN_S = 8.0  # plotted duration of a fault without an end
 COLUMNS = 5
 RANGE_M = 2.2e7
+MOST_SATELLITES = 24  # drawn of each system: one message in TUNNEL holds no more
 LARGE = 1e5  # above it, a curve shows the change only
+
+Row = tuple[str, float, float, float | None]  # curve, time [s], healthy, faulty (None: lost)
 
 # Plausible healthy values: (mean, amplitude, Hz) in the field's own units.
 HEALTHY: dict[str, tuple[float, float, float]] = {
@@ -110,21 +113,39 @@ def preview_curves(entry: Entry, seed: int) -> list[FaultCurve]:
     # In its own engine, without the other entries.
     engine = Engine(Schedule(seed, (timed,)))
     engine.start_at(0)
+    found: dict[str, FaultCurve] = {}
+    for name, t_s, healthy, faulty in _rows(engine, entry, sample_times(begin_s, end_s)):
+        curve = found.setdefault(name, FaultCurve(name, [], [], [], []))
+        if faulty is None:
+            curve.lost.append(t_s)
+            continue
+        curve.t_s.append(t_s)
+        curve.healthy.append(healthy)
+        curve.faulty.append(faulty)
+    # On a latitude in 1e-7 degrees a change of metres would be invisible.
+    return [
+        _change_only(one) if max(one.healthy, default=0) > LARGE else one for one in found.values()
+    ]
+
+
+def _rows(engine: Engine, entry: Entry, times_s: Sequence[float]) -> Iterator[Row]:
+    """Yield what the engine makes of healthy data of the kind that the entry acts on."""
     if isinstance(entry.fault, SatelliteFault):
-        return _satellite_curves(engine, entry.fault.names, begin_s, end_s)
+        # Receivers send pseudoranges at a few hertz.
+        return _satellite_rows(engine, entry.fault.names, times_s[:: RATE_HZ // 2])
     elements = getattr(entry.fault, "elements", {})
     if elements:
         # The first message represents the target.
         number, first = next(iter(elements.items()))
         places = [(one.name, one.item) for one in first]
-        return _field_curves(engine, message_layout(number).name, places, begin_s, end_s)
+        return _field_rows(engine, message_layout(number).name, places, times_s)
     if entry.targets and entry.targets[0].startswith(("PLANT.", "PSEUDORANGE.")):
-        return _plant_curves(engine, begin_s, end_s)
+        return _plant_rows(engine, times_s)
     if entry.name == "gps-spoof":
-        return _field_curves(engine, "HIL_GPS", (("lat", 0), ("vn", 0)), begin_s, end_s)
+        return _field_rows(engine, "HIL_GPS", (("lat", 0), ("vn", 0)), times_s)
     if entry.name.startswith("time-"):
-        return _field_curves(engine, "HIL_SENSOR", (("time_usec", 0),), begin_s, end_s)
-    return _link_curves(engine, entry, begin_s, end_s)
+        return _field_rows(engine, "HIL_SENSOR", (("time_usec", 0),), times_s)
+    return _link_rows(engine, entry, times_s)
 
 
 def sample_times(begin_s: float, end_s: float, rate_hz: float = RATE_HZ) -> list[float]:
@@ -160,22 +181,17 @@ def apply_engine(engine: Engine, frame: Frame, t_s: float) -> list[Outgoing]:
     return engine.apply(frame, "to-vehicle", round(t_s * 1e6))
 
 
-def _field_curves(
-    engine: Engine, name: str, places: Sequence[tuple[str, int]], begin_s: float, end_s: float
-) -> list[FaultCurve]:
-    found = [FaultCurve(f"{name}.{field}", [], [], [], []) for field, _ in places]
-    for t_s in sample_times(begin_s, end_s):
+def _field_rows(
+    engine: Engine, name: str, places: Sequence[tuple[str, int]], times_s: Sequence[float]
+) -> Iterator[Row]:
+    for t_s in times_s:
         healthy = healthy_frame(name, t_s)
         for out in apply_engine(engine, healthy, t_s):
             # Replies to the simulator do not belong to this stream.
-            if not isinstance(out.frame, Frame) or out.back:
-                continue
-            for curve, (field, index) in zip(found, places, strict=True):
-                curve.t_s.append(t_s)
-                curve.healthy.append(float(healthy.number(field, index)))
-                curve.faulty.append(float(out.frame.number(field, index)))
-    # On a latitude in 1e-7 degrees a change of metres would be invisible.
-    return [_change_only(one) if max(one.healthy, default=0) > LARGE else one for one in found]
+            if isinstance(out.frame, Frame) and not out.back:
+                for place in places:
+                    values = float(healthy.number(*place)), float(out.frame.number(*place))
+                    yield f"{name}.{place[0]}", t_s, *values
 
 
 def _change_only(curve: FaultCurve) -> FaultCurve:
@@ -184,65 +200,45 @@ def _change_only(curve: FaultCurve) -> FaultCurve:
     return curve._replace(name=f"change of {curve.name}", healthy=[0.0] * len(added), faulty=added)
 
 
-def _link_curves(engine: Engine, entry: Entry, begin_s: float, end_s: float) -> list[FaultCurve]:
-    """Return the delay [ms] of each frame, and the lost frames."""
+def _link_rows(engine: Engine, entry: Entry, times_s: Sequence[float]) -> Iterator[Row]:
+    """Yield the delay [ms] of each frame, and the lost frames."""
     described = find_layout(min(entry.ids)) if entry.ids else None
     name = described.name if described is not None else "HIL_SENSOR"
-    curve = FaultCurve(f"delay of {name}, ms", [], [], [], [])
-    for t_s in sample_times(begin_s, end_s):
+    for t_s in times_s:
         outs = apply_engine(engine, healthy_frame(name, t_s), t_s)
-        if not outs:
-            curve.lost.append(t_s)
+        # Both times count from the same start.
         for out in outs:
-            curve.t_s.append(t_s)
-            curve.healthy.append(0.0)
-            # Both times count from the same start.
-            curve.faulty.append(round(out.due_us / 1e3 - t_s * 1e3, 3))
-    return [curve]
+            yield f"delay of {name}, ms", t_s, 0.0, round(out.due_us / 1e3 - t_s * 1e3, 3)
+        if not outs:
+            yield f"delay of {name}, ms", t_s, 0.0, None
 
 
-def _plant_curves(engine: Engine, begin_s: float, end_s: float) -> list[FaultCurve]:
-    found: dict[str, FaultCurve] = {}
-    for t_s in sample_times(begin_s, end_s):
+def _plant_rows(engine: Engine, times_s: Sequence[float]) -> Iterator[Row]:
+    for t_s in times_s:
         for out in apply_engine(engine, healthy_frame("HIL_SENSOR", t_s), t_s):
             change = plant_change(out.frame) if isinstance(out.frame, Frame) else None
-            if change is None:
-                continue
-            curve = found.setdefault(change.name, FaultCurve(change.name, [], [], [], []))
-            curve.t_s.append(t_s)
-            # NaN interrupts the line while the plant is healthy.
-            curve.faulty.append(math.nan if change.value is None else change.value)
-            curve.healthy.append(math.nan)
-    return list(found.values())
+            if change is not None:
+                # NaN interrupts the line while the plant is healthy.
+                value = math.nan if change.value is None else change.value
+                yield change.name, t_s, math.nan, value
 
 
-def _satellite_curves(
-    engine: Engine, names: Sequence[str], begin_s: float, end_s: float
-) -> list[FaultCurve]:
-    """Return the metres added to each satellite's range, at two epochs per second."""
-    found = {name: FaultCurve(f"{name}, m", [], [], [], []) for name in names}
+def _satellite_rows(
+    engine: Engine, names: Sequence[str], times_s: Sequence[float]
+) -> Iterator[Row]:
+    """Yield the metres added to each satellite's range."""
     reassembler = Reassembler()
-    # Receivers send pseudoranges at a few hertz.
-    for number, t_s in enumerate(sample_times(begin_s, end_s, 2)):
-        healthy, zeros = (RANGE_M,) * len(names), (0.0,) * len(names)
-        for test_epoch in encode_epoch(t_s, names, healthy, zeros, zeros):
-            for raw in tunnel_frames(test_epoch, number):
+    for number, t_s in enumerate(times_s):
+        for system in {name[0]: None for name in names}:
+            ours = [name for name in names if name[0] == system][:MOST_SATELLITES]
+            healthy, zeros = (RANGE_M,) * len(ours), (0.0,) * len(ours)
+            (epoch,) = encode_epoch(t_s, ours, healthy, zeros, zeros)
+            for raw in tunnel_frames(epoch, number):
                 for out in apply_engine(engine, Frame(raw, message_layout("TUNNEL")), t_s):
                     payload = tunnel_payload(out.frame) if isinstance(out.frame, Frame) else None
                     for message in reassembler.add(payload or b""):
-                        _add_ranges(found, message, t_s)
-    return list(found.values())
-
-
-def _add_ranges(found: dict[str, FaultCurve], message: bytes, t_s: float) -> None:
-    data = decode_msm7(message)
-    ranges = dict(zip(data.satellites, data.pseudorange_m, strict=True))
-    for name, curve in found.items():
-        if name[0] != data.system:
-            continue
-        if name not in ranges:
-            curve.lost.append(t_s)
-            continue
-        curve.t_s.append(t_s)
-        curve.healthy.append(0.0)
-        curve.faulty.append(ranges[name] - RANGE_M)
+                        data = decode_msm7(message)
+                        ranges = dict(zip(data.satellites, data.pseudorange_m, strict=True))
+                        for name in ours:
+                            added = ranges[name] - RANGE_M if name in ranges else None
+                            yield f"{name}, m", t_s, 0.0, added

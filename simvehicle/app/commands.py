@@ -18,5 +18,4 @@ def add_sim(commands: Any) -> None:
     option("--real-time", board)
     option("--speed 1|N|max", "multiple of real time", default="1")
     option("--seed N", "random seed (default: the scenario's)", type=int)
-    option("--plot PNG", "simulate without links; plot the flight")
     parser.set_defaults(main=main_of("simvehicle.app.sim_server"))

@@ -45,10 +45,6 @@ def main(args: argparse.Namespace) -> int:
     """Run the simulator; returns the exit code."""
     speed = parse_speed(args.speed)
     scenario = read_scenario(args.scenario)
-    if args.plot:
-        from simvehicle.app.flight_plot import plot_scenario
-
-        return plot_scenario(scenario, args.seed, args.plot)
     kind = parse_spec(args.hil).kind if args.hil else ""
     real_time = args.real_time or kind == "serial"
     check_real_time(args, real_time=real_time)

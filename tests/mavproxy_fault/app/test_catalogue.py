@@ -2,12 +2,16 @@ import json
 from pathlib import Path
 
 import jsonschema
+import msgspec
 import pytest
 import yaml
 
 from mavproxy_fault.app.catalogue import format_catalogue, list_catalogue, schedule_schema
+from mavproxy_fault.app.preview import preview_curves
 from mavproxy_fault.cli import main
 from mavproxy_fault.faults.registry import known_faults
+from mavproxy_fault.faults.satellite import SatelliteFault
+from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.schedule.presets import preset_names
 
 SCHEDULE = """\
@@ -86,6 +90,14 @@ def test_plot_writes_an_image(schedule: Path, tmp_path: Path) -> None:
     out = tmp_path / "night.png"
     assert main(["faults", "plot", str(schedule), "--out", str(out)]) == 0
     assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_preset_of_more_satellites_than_one_message_holds_is_drawn() -> None:
+    faults = parse_schedule({"faults": [{"preset": "gps-search-failure"}]}).faults
+    ranges = next(entry for entry in faults if isinstance(entry.fault, SatelliteFault))
+    curves = preview_curves(msgspec.structs.replace(ranges, for_s=1.0), 0)
+    assert curves[0].name == "G01, m"
+    assert curves[0].lost
 
 
 def test_the_schema_accepts_and_refuses_the_same_as_the_reader() -> None:
