@@ -9,15 +9,15 @@ HEARTBEAT; it is repeated to ground stations, which need it to find the vehicle.
 
 import logging
 import re
-import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
+from msgspec import Meta
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
@@ -71,10 +71,16 @@ LEARN_FRAMES = 50  # or so many frames; chosen: sensors in HIL_SENSOR have 5 Hz 
 REPLY_US = 5_000_000  # chosen: ground stations give up after 3 s or less
 MOST_PENDING = 16  # chosen: more commands than a station leaves unanswered
 READ_ONLY_REQUESTS = ("state", "schedule/save")  # these do not change the schedule
-LARGEST = sys.float_info.max
 LOG = logging.getLogger(__name__)
 FIRST_STATION = 240  # ground stations have system ids from here on: MAVSDK 245, others 255
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1, the component in whose name a command is acknowledged
+
+
+class ValueRequest(msgspec.Struct, frozen=True):
+    """A new magnitude of a fault, and when it was sent [us of Unix time]."""
+
+    value: float
+    sent_us: Annotated[int, Meta(ge=0, le=(1 << 63) - 1)] | None = None
 
 
 class LiveControl:
@@ -461,29 +467,20 @@ class LiveControl:
     def _fault_edit(self, id: str, action: str, payload: bytes) -> Callable[[], Any]:
         if action == "disarm":
             return lambda: self._disarm(id)
+        if action not in ("arm", "value"):
+            raise ConfigError(f"@ctl/fault/{id}/{action}: is unknown; send arm, disarm or value")
+        kind: Any = dict[str, Any] if action == "arm" else ValueRequest
         try:
-            data = msgspec.json.decode(payload, type=dict[str, Any])
+            data = msgspec.json.decode(payload, type=kind)
         except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
             raise ConfigError(f"@ctl/fault/{id}/{action}: {error}; send JSON") from None
-        if action == "arm":
-            check_id(id, "arm")
-            check_files(data, self.folders, "arm")
-            # The id in the key takes precedence over one in the payload.
-            entries = parse_entry({**data, "id": id}, "arm")
-            return lambda: {"armed": self.engine.arm(entries)}
-        value = data.get("value")
-        # JSON integers may exceed the range of a float.
-        if action != "value" or not isinstance(value, int | float) or abs(value) > LARGEST:
-            raise ConfigError(
-                f"@ctl/fault/{id}/{action}: is unknown; send arm, disarm or value with a number"
-            )
-        sent_us = data.get("sent_us")
-        if not isinstance(sent_us, int | None) or not 0 <= (sent_us or 0) < 1 << 63:
-            raise ConfigError(
-                f"@ctl/fault/{id}/value: sent_us = {sent_us!r} is not a timestamp; give "
-                "integer microseconds of Unix time"
-            )
-        return lambda: self._update(id, value, sent_us)
+        if action == "value":
+            return lambda: self._update(id, data)
+        check_id(id, "arm")
+        check_files(data, self.folders, "arm")
+        # The id in the key takes precedence over one in the payload.
+        entries = parse_entry({**data, "id": id}, "arm")
+        return lambda: {"armed": self.engine.arm(entries)}
 
     def _disarm(self, id: str) -> Any:
         if not self.engine.clear(id):
@@ -492,12 +489,12 @@ class LiveControl:
             )
         return {"cleared": id}
 
-    def _update(self, id: str, value: float, sent_us: int | None) -> Any:
+    def _update(self, id: str, wanted: ValueRequest) -> Any:
         # By the wall clocks of sender and proxy: the vehicle's clock may run at another speed.
         now_us = time.time_ns() // 1000 if self.replayed_us is None else self.replayed_us
-        latency_us = None if sent_us is None else now_us - sent_us
-        self.engine.update(id, value, latency_us)
-        return {"id": id, "value": value}
+        latency_us = None if wanted.sent_us is None else now_us - wanted.sent_us
+        self.engine.update(id, wanted.value, latency_us)
+        return {"id": id, "value": wanted.value}
 
     def _load(self, what: str, payload: bytes, *, anew: bool) -> Callable[[], Any]:
         document = read_yaml(payload.decode("utf-8", "replace"), what)

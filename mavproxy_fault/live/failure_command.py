@@ -41,6 +41,16 @@ DELAY_S = 0.5
 LINK_HZ = 10.0  # frame rate of a slow link
 INTERMITTENT = {"for_s": 0.5, "repeat": {"every_s": 1.0}}
 
+LINK_FAULTS: dict[str, dict[str, Any]] = {  # by failure type
+    "off": {"fault": "outage"},
+    "stuck": {"fault": "outage"},
+    "garbage": {"fault": "corrupt", "count": 3},
+    "wrong": {"fault": "corrupt", "crc": "redone"},
+    "slow": {"fault": "rate-limit", "value": LINK_HZ},
+    "delayed": {"fault": "delay", "value": DELAY_S},
+    "intermittent": {"fault": "outage", **INTERMITTENT},
+    "drift": {"fault": "jitter", "value": DELAY_S},
+}
 M_PER_HPA = 8.4  # height per pressure at sea level, ISO 2533
 DEGE7_PER_M = 90.0  # latitude: one degree is about 111 km
 
@@ -240,32 +250,17 @@ def failure_entries(
     list of dict
         One entry per part.
     """
-    if request.unit in LINK_UNITS:
-        where = parts[0][1]
-        entry = _link_fault(request.kind)
-        return [{"id": f"{id}.1", **entry, **({"where": where} if where else {})}]
     entries = []
     for number, (part, where) in enumerate(parts, 1):
-        entry = _part_fault(FAILURE_UNITS[request.unit], part, request.kind, instance)
-        if instance and not part.indexed and instance_field(part.message):
+        if request.unit in LINK_UNITS:
+            entry = LINK_FAULTS[request.kind]
+        else:
+            entry = _part_fault(FAILURE_UNITS[request.unit], part, request.kind, instance)
+        if instance and part.fields and not part.indexed and instance_field(part.message):
             # Instances in the command count from 1, ids in the messages from 0.
             where = {**where, "id": instance - 1}
         entries.append({"id": f"{id}.{number}", **entry, **({"where": where} if where else {})})
     return entries
-
-
-def _link_fault(kind: str) -> dict[str, Any]:
-    faults: dict[str, dict[str, Any]] = {
-        "off": {"fault": "outage"},
-        "stuck": {"fault": "outage"},
-        "garbage": {"fault": "corrupt", "count": 3},
-        "wrong": {"fault": "corrupt", "crc": "redone"},
-        "slow": {"fault": "rate-limit", "value": LINK_HZ},
-        "delayed": {"fault": "delay", "value": DELAY_S},
-        "intermittent": {"fault": "outage", **INTERMITTENT},
-        "drift": {"fault": "jitter", "value": DELAY_S},
-    }
-    return faults[kind]
 
 
 def _part_fault(unit: FailureUnit, part: UnitPart, kind: str, instance: int) -> dict[str, Any]:
@@ -283,25 +278,17 @@ def _part_fault(unit: FailureUnit, part: UnitPart, kind: str, instance: int) -> 
         flags = f"{part.message}.fields_updated"
         return {"fault": "clear-bits", "target": flags, "groups": [part.group]}
     fields, scales = _elements(part, instance)
-    target: dict[str, Any] = {"target": fields}
-    if kind == "off":
+    by_kind: dict[str, dict[str, Any]] = {
         # A shared message without flags: zero is the closest to no data.
-        return {**target, "fault": "constant", "value": 0.0}
-    if kind == "stuck":
-        return {**target, "fault": "freeze"}
-    if kind == "slow":
-        return {**target, "fault": "sample-hold", "value": SLOW_S}
-    if kind == "delayed":
-        return {**target, "fault": "lag", "value": DELAY_S}
-    if kind == "garbage":
-        return {
-            **target,
-            "fault": "noise",
-            "value": [unit.noise * abs(s) for s in scales],
-        }
-    if kind == "wrong":
-        return {**target, "fault": "bias", "value": [unit.wrong * s for s in scales]}
-    return {**target, "fault": "drift", "value": [unit.drift * s for s in scales]}
+        "off": {"fault": "constant", "value": 0.0},
+        "stuck": {"fault": "freeze"},
+        "slow": {"fault": "sample-hold", "value": SLOW_S},
+        "delayed": {"fault": "lag", "value": DELAY_S},
+        "garbage": {"fault": "noise", "value": [unit.noise * abs(s) for s in scales]},
+        "wrong": {"fault": "bias", "value": [unit.wrong * s for s in scales]},
+        "drift": {"fault": "drift", "value": [unit.drift * s for s in scales]},
+    }
+    return {"target": fields, **by_kind[kind]}
 
 
 def _elements(part: UnitPart, instance: int) -> tuple[list[str], list[float]]:

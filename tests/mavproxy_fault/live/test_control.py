@@ -608,10 +608,10 @@ def test_a_streamed_value_needs_a_number_and_a_timestamp() -> None:
     streamed = {**BIAS, "profile": {"live": {"timeout_s": 2}}}
     del streamed["value"]
     ask(it, "fault/it/arm", streamed)
-    with pytest.raises(ConfigError, match="value with a number"):  # exceeds a float
+    with pytest.raises(ConfigError, match="Number out of range"):  # exceeds a float
         ask(it, "fault/it/value", {"value": 10**400})
     for stamp in ("now", 10**30, -1):
-        with pytest.raises(ConfigError, match=f"sent_us = {stamp!r} is not a timestamp"):
+        with pytest.raises(ConfigError, match=r"Expected `int.*`\$.sent_us`; send JSON"):
             ask(it, "fault/it/value", {"value": 1, "sent_us": stamp})
 
 
