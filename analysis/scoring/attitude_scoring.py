@@ -37,11 +37,11 @@ from analysis.samples.sample import IMU_VALUE_LIMIT, Sample, TruthSample, Vector
 from analysis.scoring.attitude_kernel import ScoredEstimates, score_estimates
 from analysis.scoring.attitude_scores import (
     ErrorBins,
-    FaultInterval,
     flight_phases,
     score_breakdown,
 )
 from mavproxy_fault.numerics.magnetic_field import date_of, magnetic_field_gauss
+from mavproxy_fault.wire.label import Label
 
 MAX_WAITING = 20_000  # estimates, to bound memory while the truth pauses; the oldest are dropped
 # The messages in which an autopilot reports its attitude, in the order of `SOURCES`.
@@ -262,7 +262,7 @@ class AttitudeScorer:
             )
         ]
 
-    def summary(self, state: ScorerState, labels: Sequence[FaultInterval] = ()) -> dict[str, Any]:
+    def summary(self, state: ScorerState, labels: Sequence[Label] = ()) -> dict[str, Any]:
         """Scores by estimator, as `score_breakdown` gives them."""
         return {
             name: score_breakdown(

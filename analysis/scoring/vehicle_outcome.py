@@ -194,8 +194,7 @@ def judge_vehicle(record: VehicleRecord) -> VehicleOutcome:
     landed = any(event.kind == "touchdown" for event in events)
     best = AS_COMMANDED if landed else UNAFFECTED
     return VehicleOutcome(
-        outcome=max((event.kind for event in events), key=outcome_rank) if _is_eventful(events)
-        else best,
+        outcome=max([best, *(event.kind for event in events)], key=outcome_rank),
         source="truth" if motion.from_truth else "autopilot's estimate",
         impact_mps=None if contact is None else round(contact[1], 2),
         impact_s=None if contact is None else round(contact[0], 3),
@@ -205,10 +204,6 @@ def judge_vehicle(record: VehicleRecord) -> VehicleOutcome:
         events=events,
         **named,  # type: ignore[arg-type]
     )  # fmt: skip
-
-
-def _is_eventful(events: Sequence[VehicleEvent]) -> bool:
-    return any(event.kind in VEHICLE_OUTCOMES for event in events)
 
 
 def is_crash_text(text: str) -> bool:
