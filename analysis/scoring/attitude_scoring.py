@@ -244,23 +244,13 @@ class AttitudeScorer:
     def _results(
         self, estimates: Estimates, error: Vector, row: Indices
     ) -> list[tuple[int, AttitudeError]]:
-        columns = row, estimates.source, estimates.t_us, *np.degrees(error).T
+        columns = row, estimates.source, estimates.t_us, np.degrees(error)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
         return [
-            (
-                at,
-                AttitudeError(
-                    t_us=t_us,
-                    estimator=self._names[number],
-                    roll=roll,
-                    pitch=pitch,
-                    yaw=yaw,
-                    angle=angle,
-                ),
-            )
-            for at, number, t_us, roll, pitch, yaw, angle in zip(
-                *(column.tolist() for column in columns), strict=True
-            )
-        ]
+            (at, AttitudeError(t_us=t_us, estimator=self._names[number], roll=off[0], pitch=off[1],
+                               yaw=off[2], angle=off[3]))
+            for at, number, t_us, off in rows
+        ]  # fmt: skip
 
     def summary(self, state: ScorerState, labels: Sequence[Label] = ()) -> dict[str, Any]:
         """Scores by estimator, as `score_breakdown` gives them."""
