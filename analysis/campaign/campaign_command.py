@@ -9,6 +9,7 @@ from typing import NamedTuple
 from analysis.campaign.campaign_file import CampaignFile, read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.campaign_run import run_campaign
+from analysis.report.run_folder import numbered_folder
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -49,7 +50,7 @@ def main(args: argparse.Namespace) -> int:
     campaign = read_campaign(args.file[0])
     check_binaries(campaign)
     workers = args.workers or os.cpu_count() or 1
-    folder = Path(args.out) if args.out else new_folder(Path("runs"), campaign.name)
+    folder = Path(args.out) if args.out else numbered_folder(f"campaign-{campaign.name}")
     keep = folder / "flights" if args.dataset or campaign.keep != "none" else None
     plan = CampaignPlan(campaign, keep)
     size = estimate_size(plan, workers)
@@ -90,14 +91,6 @@ def check_binaries(campaign: CampaignFile) -> None:
         except ConfigError as error:
             text = str(error).removeprefix("--binary: ")
             raise ConfigError(f"{campaign.name}: subject {subject.name}: binary {text}") from None
-
-
-def new_folder(parent: Path, name: str) -> Path:
-    """Return `campaign-NAME-N` with the first free number."""
-    number = 1
-    while (parent / f"campaign-{name}-{number}").exists():
-        number += 1
-    return parent / f"campaign-{name}-{number}"
 
 
 class CampaignSize(NamedTuple):

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.flying.flight_evidence import ATTITUDE, PATH, Evidence, EvidenceCurve
+from analysis.flying.flight_evidence import PATH, Evidence, EvidenceCurve, attitude_curve
 from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.judging.vehicle_record import vehicle_outcome
 from analysis.report.recordings.from_tlog import recording_of_tlog
-from analysis.results import AttitudeError, read_results
+from analysis.results import read_results
 from analysis.scoring.attitude_scoring import AUTOPILOTS
 from analysis.scoring.vehicle_outcome import BAD_ENDS, DEGRADED, VehicleEvent, outcome_rank
 from mavproxy_fault.numerics.earth import curvature_radii
@@ -35,12 +35,14 @@ def collect_evidence(folder: Path) -> tuple[Evidence, float]:
     # The log has another clock; the truth's own timestamps give the offset.
     shift_us = int(truth["t_us"][0]) - int(truth["time_usec"][0])
     off_ground_s = summary["moments_s"]["take-off"]
+    begin_us = round(off_ground_s * 1e6)
 
     def since(stamps_us: LogRows) -> NDArray[np.float64]:
         return (stamps_us - shift_us) * 1e-6 - float(off_ground_s)
 
-    curves = {**attitude_curve(folder, float(off_ground_s)), **path_curves(truth, since)}
-    marks = vehicle_marks(columns, round(off_ground_s * 1e6)) + text_marks(columns, since)
+    errors = (one for one in read_results(folder / "results.jsonl") if one.t_us >= begin_us)
+    curves = attitude_curve(errors, AUTOPILOTS, begin_us) | path_curves(truth, since)
+    marks = vehicle_marks(columns, begin_us) + text_marks(columns, since)
     if summary["ended_early"]:
         end_s = float(since(truth["t_us"][-1:])[0])
         marks.append(VehicleEvent(end_s, "lost", summary["ended_early"]))
@@ -57,22 +59,6 @@ def belongs_to_flight(mark: VehicleEvent, landing_s: float) -> bool:
     Modes and flags during the landing depend on the touchdown, whose time varies between flights.
     """
     return mark.t_s >= 0.0 and (mark.t_s < landing_s or mark.kind in ("lost", *BAD_ENDS))
-
-
-def attitude_curve(folder: Path, off_ground_s: float) -> dict[str, EvidenceCurve]:
-    """Return the autopilot's attitude error, as scored by the monitor."""
-    errors = [
-        result
-        for result in read_results(folder / "results.jsonl")
-        if isinstance(result, AttitudeError) and result.estimator in AUTOPILOTS
-    ]
-    pairs = [(e.t_us * 1e-6 - off_ground_s, e.angle) for e in errors]
-    pairs = [(round(t_s, 3), round(angle, 4)) for t_s, angle in pairs if t_s >= 0.0]
-    return (
-        {ATTITUDE: EvidenceCurve([t for t, _ in pairs], [angle for _, angle in pairs])}
-        if pairs
-        else {}
-    )
 
 
 def path_curves(truth: LogRows, since: Any) -> dict[str, EvidenceCurve]:

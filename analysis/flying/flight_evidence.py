@@ -1,10 +1,12 @@
 """The evidence of a flight: curves, events and requirements by subject, the monitor's verdict."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import msgspec
 
+from analysis.results import AttitudeError, Result
 from analysis.scoring.requirements import RequirementResult
 from analysis.scoring.vehicle_outcome import VehicleEvent
 
@@ -26,7 +28,24 @@ class Evidence(msgspec.Struct, frozen=True):
 
 
 ATTITUDE, POSITION = "attitude error, deg", "position error, m"
+WIDEST_DEG = 180.0
 PATH = ("north, m", "east, m", "up, m")  # curves of the true position
+
+
+def seconds_since(result: Result, t0_us: int) -> float:
+    """The time of a result in seconds from `t0_us`."""
+    return round((result.t_us - t0_us) * 1e-6, 3)
+
+
+def attitude_curve(
+    results: Iterable[Result], estimators: Sequence[str], t0_us: int
+) -> dict[str, EvidenceCurve]:
+    """The attitude error of these estimators over seconds since `t0_us`; none without results."""
+    errors = [r for r in results if isinstance(r, AttitudeError) and r.estimator in estimators]
+    # An estimate of NaN counts as the largest possible error.
+    degrees = [round(e.angle, 4) if math.isfinite(e.angle) else WIDEST_DEG for e in errors]
+    curve = EvidenceCurve([seconds_since(e, t0_us) for e in errors], degrees)
+    return {ATTITUDE: curve} if errors else {}
 
 
 class CellVerdict(msgspec.Struct, frozen=True):

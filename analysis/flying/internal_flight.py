@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flying.flight_evidence import (
-    ATTITUDE,
     MONITOR,
     POSITION,
     CampaignFlight,
     Evidence,
     EvidenceCurve,
+    attitude_curve,
     monitor_verdict,
+    seconds_since,
 )
 from analysis.flying.flight_phases import PhaseTracker
 from analysis.monitor.monitor import Monitor
@@ -27,7 +28,7 @@ from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.judging.flight_signals import judge_requirements
 from analysis.report.recordings.from_tlog import recording_of_tlog
 from analysis.report.run_folder import ResultFile
-from analysis.results import AttitudeError, Decision, Result, SensorDecision
+from analysis.results import Decision, Result, SensorDecision
 from analysis.run.proxied_flight import ProxiedFlight
 from analysis.run.reference_flight import BATCH_BYTES
 from analysis.run.run_setup import RunSetup
@@ -41,7 +42,6 @@ from mavproxy_fault.wire.tlog import read_columns
 from simvehicle.vehicles.body import Truth
 
 TRACK_US = 100_000
-WIDEST_DEG = 180.0
 Vector = NDArray[np.float64]
 
 
@@ -79,7 +79,7 @@ def run_simulated_flight(
         if name == MONITOR
         else Evidence({}, alarm_marks(monitor.alarms[name], t0_us))
         if name in monitor.alarms
-        else estimator_evidence(results, name, t0_us)
+        else Evidence(attitude_curve(results, (name,), t0_us))
         for name in subjects
     }
     labels = flight.drain_labels()
@@ -125,25 +125,10 @@ def write_logs(
     recorder.close(flight.core.clock.t0_us, flight.now_us)
 
 
-def _seconds(result: Result, t0_us: int) -> float:
-    return round((result.t_us - t0_us) * 1e-6, 3)
-
-
-def estimator_evidence(results: Sequence[Result], name: str, t0_us: int) -> Evidence:
-    """Return an estimator's attitude error over seconds since `t0_us`; it has no marks."""
-    errors = [r for r in results if isinstance(r, AttitudeError) and r.estimator == name]
-    curve = EvidenceCurve(
-        [_seconds(e, t0_us) for e in errors],
-        # An estimate of NaN counts as the largest possible error.
-        [round(e.angle, 4) if np.isfinite(e.angle) else WIDEST_DEG for e in errors],
-    )
-    return Evidence({ATTITUDE: curve})
-
-
 def alarm_marks(results: Sequence[Result], t0_us: int) -> list[VehicleEvent]:
     """The alarms among the results of detectors, by seconds from `t0_us`."""
     return [
-        VehicleEvent(_seconds(r, t0_us), "detected", r.sensor)
+        VehicleEvent(seconds_since(r, t0_us), "detected", r.sensor)
         for r in results
         if isinstance(r, SensorDecision) and r.alarm
     ]
@@ -159,10 +144,12 @@ def monitor_evidence(results: Sequence[Result], track: Vector, t0_us: int) -> Ev
         true = np.stack([np.interp(t_us, track[:, 0], track[:, i]) for i in (1, 2, 3)], axis=1)
         error = np.linalg.norm(np.array([d.position_ecef_m for d in fixes]) - true, axis=1)
         curves[POSITION] = EvidenceCurve(
-            [_seconds(d, t0_us) for d in fixes], error.round(3).tolist()
+            [seconds_since(d, t0_us) for d in fixes], error.round(3).tolist()
         )
     alarms = [
-        VehicleEvent(_seconds(d, t0_us), "detected", d.hypothesis) for d in decisions if d.alarm
+        VehicleEvent(seconds_since(d, t0_us), "detected", d.hypothesis)
+        for d in decisions
+        if d.alarm
     ]
     alarms += alarm_marks(results, t0_us)
     return Evidence(curves, sorted(alarms, key=lambda mark: mark.t_s))

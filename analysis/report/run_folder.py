@@ -12,6 +12,12 @@ from mavproxy_fault.documents.atomic_file import replace_file, write_all, write_
 from mavproxy_fault.documents.errors import ConfigError
 
 
+def numbered_folder(name: str) -> Path:
+    """Return `runs/NAME-1`, or the first number that is free."""
+    folders = (Path("runs") / f"{name}-{number}" for number in itertools.count(1))
+    return next(folder for folder in folders if not folder.exists())
+
+
 def make_folder(out: str | None, name: str) -> Path:
     """Create the folder `out`, or the next free `runs/0001-name`; never overwrites an earlier run.
 

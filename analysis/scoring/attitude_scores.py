@@ -1,13 +1,14 @@
 """Attitude errors in time bins, and the scores computed from them."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.samples.block import Indices, Stamps
 from analysis.samples.sample import Vector
+from mavproxy_fault.wire.label import Label
 
 AXES = ("roll", "pitch", "yaw", "angle")
 PHASES = ("ground", "turn", "climb", "descent", "level")
@@ -16,22 +17,6 @@ TURN_RAD = np.radians(15.0)  # bank beyond what holding a straight course needs
 CLIMB_MPS = 1.0  # above what gusts do in level flight
 REPEATED = " (the truth itself)"
 REPEATED_DEG = 0.01  # median error below which a source repeats the truth: no estimator is as good
-
-
-class FaultInterval(Protocol):
-    """The time interval in which a fault acted; the proxy's `Label` is one."""
-
-    @property
-    def id(self) -> str:
-        """The interval's name."""
-
-    @property
-    def start_us(self) -> int:
-        """Start."""
-
-    @property
-    def end_us(self) -> int | None:
-        """End; None if it still acted at the end."""
 
 
 class ErrorBins(NamedTuple):
@@ -51,15 +36,13 @@ class ErrorBins(NamedTuple):
         return ErrorBins(*(column[index] for column in self))
 
 
-def score_breakdown(
-    bins: ErrorBins, intervals: Sequence[FaultInterval], bin_us: int
-) -> dict[str, Any]:
+def score_breakdown(bins: ErrorBins, labels: Sequence[Label], bin_us: int) -> dict[str, Any]:
     """Scores of the entire flight, without faults, by flight phase and by fault.
 
     RMSE (`max` is the largest of roll, pitch and yaw) and maxima in degrees; percentiles are those
     of the angle between estimate and truth, of the first error in each bin.
     """
-    within = [_within(bins, interval, bin_us) for interval in intervals]
+    within = [_within(bins, label, bin_us) for label in labels]
     # With a row of zeros, as there may be no fault.
     faulty = np.any([np.zeros(len(bins.t_us), bool), *within], axis=0)
     phases = sorted({PHASES[i] for i in bins.phase.tolist()})
@@ -67,8 +50,8 @@ def score_breakdown(
         "nominal": score_bins(bins.at(~faulty)),
         "phases": {name: score_bins(bins.at(bins.phase == PHASES.index(name))) for name in phases},
         "faults": {
-            interval.id: score_bins(bins.at(inside))
-            for interval, inside in zip(intervals, within, strict=True)
+            label.id: score_bins(bins.at(inside))
+            for label, inside in zip(labels, within, strict=True)
         },
     }
 
@@ -122,7 +105,7 @@ def flight_phases(q_nb: Vector, v_ned_mps: Vector) -> Indices:
     return np.select(conditions, range(4), 4)
 
 
-def _within(bins: ErrorBins, interval: FaultInterval, bin_us: int) -> NDArray[np.bool_]:
+def _within(bins: ErrorBins, label: Label, bin_us: int) -> NDArray[np.bool_]:
     """Mask (c,) of the bins that overlap a fault's interval."""
-    inside = bins.t_us + bin_us > interval.start_us
-    return inside if interval.end_us is None else inside & (bins.t_us < interval.end_us)
+    inside = bins.t_us + bin_us > label.start_us
+    return inside if label.end_us is None else inside & (bins.t_us < label.end_us)

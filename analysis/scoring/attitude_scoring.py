@@ -37,11 +37,11 @@ from analysis.samples.sample import IMU_VALUE_LIMIT, Sample, TruthSample, Vector
 from analysis.scoring.attitude_kernel import ScoredEstimates, score_estimates
 from analysis.scoring.attitude_scores import (
     ErrorBins,
-    FaultInterval,
     flight_phases,
     score_breakdown,
 )
 from mavproxy_fault.numerics.magnetic_field import date_of, magnetic_field_gauss
+from mavproxy_fault.wire.label import Label
 
 MAX_WAITING = 20_000  # estimates, to bound memory while the truth pauses; the oldest are dropped
 # The messages in which an autopilot reports its attitude, in the order of `SOURCES`.
@@ -244,25 +244,15 @@ class AttitudeScorer:
     def _results(
         self, estimates: Estimates, error: Vector, row: Indices
     ) -> list[tuple[int, AttitudeError]]:
-        columns = row, estimates.source, estimates.t_us, *np.degrees(error).T
+        columns = row, estimates.source, estimates.t_us, np.degrees(error)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
         return [
-            (
-                at,
-                AttitudeError(
-                    t_us=t_us,
-                    estimator=self._names[number],
-                    roll=roll,
-                    pitch=pitch,
-                    yaw=yaw,
-                    angle=angle,
-                ),
-            )
-            for at, number, t_us, roll, pitch, yaw, angle in zip(
-                *(column.tolist() for column in columns), strict=True
-            )
-        ]
+            (at, AttitudeError(t_us=t_us, estimator=self._names[number], roll=off[0], pitch=off[1],
+                               yaw=off[2], angle=off[3]))
+            for at, number, t_us, off in rows
+        ]  # fmt: skip
 
-    def summary(self, state: ScorerState, labels: Sequence[FaultInterval] = ()) -> dict[str, Any]:
+    def summary(self, state: ScorerState, labels: Sequence[Label] = ()) -> dict[str, Any]:
         """Scores by estimator, as `score_breakdown` gives them."""
         return {
             name: score_breakdown(

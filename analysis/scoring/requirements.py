@@ -38,7 +38,6 @@ UNITS = {"m": "m", "mps": "m/s", "deg": "deg"}
 OF_ESTIMATOR = re.compile(r"\b([a-z]\w*)\.attitude_error_deg\b")
 MODES = re.compile(r"\bmode\s*(==|!=|not\s+in\b|in\b)\s*(\[[^\]]*\]|[\w.\"']+)")
 WORDS = re.compile(r"\b(" + "|".join(TRUTHS) + r")\b")
-TEMPORAL = ("Always", "Eventually", "Until", "Historically", "Once", "Since", "Next")
 LENGTH_MAX = 1000  # chosen: longer than any formula by hand; bounds the parser's depth
 
 
@@ -136,19 +135,20 @@ class Requirement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         text = OF_ESTIMATOR.sub(r"\1__attitude_error_deg", text)
         text = WORDS.sub(r"(\1 > 0)", text)
         try:
-            tree: dict[str, Any] = json.loads(sentil.Formula.parse(text).to_json())
+            formula = sentil.Formula.parse(text)
         except sentil.SentilError as error:
             raise ValueError(
                 f"{error}; write for example: always(height_m > 5 or landing)"
             ) from None
         # An implication and a formula without temporal operators are meant for the entire flight.
-        plain = "Implies" in tree or not any(f'"{name}"' in json.dumps(tree) for name in TEMPORAL)
+        tree: dict[str, Any] = json.loads(formula.to_json())
+        plain = "Implies" in tree or not formula.is_temporal
         return {"Always": [{"lower": 0.0, "upper": None}, tree]} if plain else tree
 
     @cached_property
     def signals(self) -> frozenset[str]:
         """The names of the signals that the formula uses."""
-        return frozenset(_variables(self.tree))
+        return frozenset(_formula(self.tree).variables)
 
     @property
     def unit(self) -> str:
@@ -178,10 +178,8 @@ class Requirement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         except ValueError as error:
             return self._result(None, reason=str(error))
         trace = sentil.Trace(t_s, values)
-        if inner is None:
-            margins = sentil.Formula.from_json(json.dumps(self.tree)).robustness_signal(trace)[:1]
-        else:
-            margins = sentil.Formula.from_json(json.dumps(inner)).robustness_signal(trace)
+        margins = _formula(inner or self.tree).robustness_signal(trace)
+        margins = margins[:1] if inner is None else margins
         # A deadline after the end of the log is decided only if what it waits for came before.
         margins = margins[(t_s[: len(margins)] <= t_s[-1] - _deadline_s(self.tree)) | (margins > 0)]
         if not len(margins):
@@ -212,11 +210,9 @@ class Requirement(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     def _result(
         self, robustness: float | None, at_s: float | None = None, reason: str = ""
     ) -> RequirementResult:
-        if robustness is None:
-            met, shown = None, None
-        else:
-            met = robustness >= 0.0
-            shown = robustness if abs(robustness) < LOGICAL else None
+        met = None if robustness is None else robustness >= 0.0
+        # One that comes from true and false alone is no distance.
+        shown = robustness if met is None or abs(robustness or 0.0) < LOGICAL else None
         return RequirementResult(
             name=self.label, formula=self.formula, met=met, robustness=shown,
             unit=self.unit,
@@ -232,12 +228,10 @@ def _wanted_modes(text: tuple[str, str]) -> tuple[bool, frozenset[str]]:
     return comparison in ("==", "in"), frozenset(found)
 
 
-def _variables(node: Any) -> Iterable[str]:
-    if isinstance(node, dict) and isinstance(node.get("Variable"), str):
-        yield node["Variable"]
-    elif isinstance(node, (dict, list)):
-        for part in node.values() if isinstance(node, dict) else node:
-            yield from _variables(part)
+def _formula(tree: dict[str, Any]) -> Any:
+    import sentil
+
+    return sentil.Formula.from_json(json.dumps(tree))
 
 
 def _deadline_s(node: Any) -> float:

@@ -162,20 +162,16 @@ def judge_vehicle(record: VehicleRecord) -> VehicleOutcome:
     acting = (record.armed[0][0], record.armed[-1][1]) if record.armed else flown
     failsafes = find_failsafes(record, acting) if acting else []
     first = next(iter(failsafes), None)
-    named = {
-        "failsafe": "" if first is None else first.text.partition(": ")[0],
-        "failsafe_s": None if first is None else first.t_s,
-        "reason": "" if first is None else first.text.partition(": ")[2],
-    }
+    mode, _, reason = first.text.partition(": ") if first else ("", "", "")
+    judged = VehicleOutcome(
+        outcome=NOT_JUDGED, source="autopilot's estimate" if upset else "autopilot's messages",
+        end_tilt_deg=end_tilt_deg, failsafe=mode, failsafe_s=first.t_s if first else None,
+        reason=reason,
+    )  # fmt: skip
     if motion is None or flown is None:
         events = sorted([*said, *upset, *failsafes], key=lambda event: event.t_s)
-        return VehicleOutcome(
-            outcome=max((event.kind for event in events), key=outcome_rank, default=NOT_JUDGED),
-            source="autopilot's estimate" if upset else "autopilot's messages",
-            end_tilt_deg=end_tilt_deg,
-            events=events,
-            **named,  # type: ignore[arg-type]
-        )
+        worst = max((event.kind for event in events), key=outcome_rank, default=NOT_JUDGED)
+        return msgspec.structs.replace(judged, outcome=worst, events=events)
     contact, ground = _find_impacts(record, motion, flown)
     excursion_m, away_s, departed = _find_departure(record, motion, flown)
     error_deg = _largest(record.errors_deg, flown)
@@ -193,22 +189,16 @@ def judge_vehicle(record: VehicleRecord) -> VehicleOutcome:
     events.sort(key=lambda event: event.t_s)
     landed = any(event.kind == "touchdown" for event in events)
     best = AS_COMMANDED if landed else UNAFFECTED
-    return VehicleOutcome(
-        outcome=max((event.kind for event in events), key=outcome_rank) if _is_eventful(events)
-        else best,
+    return msgspec.structs.replace(
+        judged,
+        outcome=max([best, *(event.kind for event in events)], key=outcome_rank),
         source="truth" if motion.from_truth else "autopilot's estimate",
         impact_mps=None if contact is None else round(contact[1], 2),
         impact_s=None if contact is None else round(contact[0], 3),
-        end_tilt_deg=end_tilt_deg,
         excursion_m=round(excursion_m, 2),
         excursion_deg=round(error_deg, 2),
         events=events,
-        **named,  # type: ignore[arg-type]
-    )  # fmt: skip
-
-
-def _is_eventful(events: Sequence[VehicleEvent]) -> bool:
-    return any(event.kind in VEHICLE_OUTCOMES for event in events)
+    )
 
 
 def is_crash_text(text: str) -> bool:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -24,6 +24,7 @@ from analysis.search.evaluation.traced_flight import (
 from analysis.search.shrink import pin_values
 from analysis.search.space.test_file import COMPILED_ESTIMATORS, TestFile
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
+from mavproxy_fault.wire.label import Label
 
 INVERTED_STATES = ("height_m", "airspeed_mps", "position_m")
 Array = NDArray[np.float64]
@@ -32,14 +33,6 @@ STATES = (
     "north_m", "east_m", "down_m", "u_mps", "v_mps", "w_mps", "roll_deg", "pitch_deg", "yaw_deg",
     "p_dps", "q_dps", "r_dps",
 )  # fmt: skip
-
-
-class ActiveFault(NamedTuple):
-    """The interval in which a fault acted."""
-
-    id: str
-    start_us: int
-    end_us: int | None
 
 
 def case_breakdown(
@@ -56,13 +49,16 @@ def case_breakdown(
         return SimulatedBatch(test).scores(values, seed, number).parts
     flight = trace_case(test, values, seed, number)
     error = flight.errors_rad()
-    windows = [
-        ActiveFault(f"drawn-{i}", round(f.at_s * 1e6), _end_us(f.at_s, f.for_s))
+    labels = [
+        Label(
+            id=f"drawn-{i}", fault=f.fault, t0_us=0, start_us=round(f.at_s * 1e6),
+            end_us=None if f.for_s is None else round((f.at_s + f.for_s) * 1e6),
+        )
         for i, f in enumerate(pin_values(test, values).faults)
         # A fault drawn over a range has no single interval to score.
         if isinstance(f.at_s, float) and not isinstance(f.for_s, tuple)
-    ]
-    parts = score_breakdown(error_bins(flight, error), windows, BIN_US)
+    ]  # fmt: skip
+    parts = score_breakdown(error_bins(flight, error), labels, BIN_US)
     if test.estimator == "inverse-model":
         parts["state_rmse"] = dict(zip(STATES, state_rmse(flight).tolist(), strict=True))
         inverted = Batch(msgspec.structs.replace(test, criterion="height"))
@@ -85,10 +81,6 @@ def trace_case(test: TestFile, values: Mapping[str, float], seed: int, number: i
         return trace_flight(batch.plan, column[:, 0], filters, seed, number)
     flight = trace_flight(with_all_sensors(batch.plan), column[:, 0], filters, seed, number)
     return replace(flight, q_estimate=estimate_attitude(flight, make_estimator(test.estimator)))
-
-
-def _end_us(at_s: float, for_s: float | None) -> int | None:
-    return None if for_s is None else round((at_s + for_s) * 1e6)
 
 
 def error_bins(flight: FlightTrace, error: Array) -> ErrorBins:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flying.worker_pool import WorkerPool, open_worker_pool
+from analysis.report.run_folder import numbered_folder
 from analysis.search.archive import Archive, Case
 from analysis.search.breakdown import case_breakdown
 from analysis.search.cases import (
@@ -48,7 +49,7 @@ def main(args: argparse.Namespace) -> int:
     """Carry out the command."""
     test = apply_options(read_test(args.testfile), args)
     # Runs get their own numbered folder: nothing is overwritten.
-    folder = Path(args.out) if args.out else new_folder(Path("runs"))
+    folder = Path(args.out) if args.out else numbered_folder("search")
     pool = open_worker_pool(args.workers, args.ray)
     try:
         with WorkProgress("searching", test.budget or DEFAULT_BUDGET, "tests") as bar:
@@ -117,14 +118,6 @@ def falsify(
     }  # fmt: skip
     (folder / "search-summary.json").write_bytes(msgspec.json.encode(summary))
     return int(bool(found))
-
-
-def new_folder(parent: Path) -> Path:
-    """`search-1`, or the first free number."""
-    number = 1
-    while (parent / f"search-{number}").exists():
-        number += 1
-    return parent / f"search-{number}"
 
 
 def run_search(

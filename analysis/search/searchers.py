@@ -4,7 +4,8 @@ A searcher depends only on its seed and the reported fitness, so that a search i
 reporting the same fitness again. Noise in the fitness is expected.
 """
 
-from typing import Any, Protocol
+from abc import ABC, abstractmethod
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,23 +17,28 @@ Array = NDArray[np.float64]
 BATCH_POINTS = 256  # points per batch where the method has no population size
 
 
-class Searcher(Protocol):
-    """The contract: `ask` and `report` take turns."""
+class Searcher(ABC):
+    """The contract: `ask` and `report` take turns; chance comes from `_rng` alone."""
 
-    def ask(self) -> Array:
-        """Points (n, d) to try."""
-
-    def report(self, points: Array, fitness: Array) -> None:
-        """Report their fitness (n,)."""
-
-
-class RandomSearch:
-    """Independent uniform points."""
+    STREAM: ClassVar[int]  # two methods on one seed draw different points
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
         self._dimension = dimension
-        # A second number per method: two methods on one seed draw different points.
-        self._rng = np.random.default_rng([seed, 1])
+        self._rng = np.random.default_rng([seed, self.STREAM])
+
+    @abstractmethod
+    def ask(self) -> Array:
+        """Points (n, d) to try."""
+
+    @abstractmethod
+    def report(self, points: Array, fitness: Array) -> None:
+        """Learn from their fitness (n,)."""
+
+
+class RandomSearch(Searcher):
+    """Independent uniform points."""
+
+    STREAM = 1
 
     def ask(self) -> Array:
         """The next points."""
@@ -42,35 +48,34 @@ class RandomSearch:
         """Nothing is learned."""
 
 
-class SobolSearch:
+class SobolSearch(RandomSearch):
     """A scrambled Sobol sequence, which fills the cube more evenly."""
 
+    STREAM = 2
+
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
-        sequence = import_extra("scipy.stats.qmc").Sobol
-        self._sequence = sequence(dimension, rng=np.random.default_rng([seed, 2]))
+        super().__init__(dimension, seed, budget)
+        self._sequence = import_extra("scipy.stats.qmc").Sobol(dimension, rng=self._rng)
 
     def ask(self) -> Array:
         """The next points."""
         points: Array = self._sequence.random(BATCH_POINTS)
         return points
 
-    # Sobol points do not depend on the results.
-    def report(self, points: Array, fitness: Array) -> None:
-        """Nothing is learned."""
 
-
-class MatyasSearch:
+class MatyasSearch(Searcher):
     """Random optimisation (Matyas, Automation and Remote Control 26, 1965).
 
     A Gaussian step from the best point so far is kept if it is better; a tenth of the range wide.
     """
 
+    STREAM = 3
     # Standard deviation: a tenth of the range.
     STEP = 0.1
     TOGETHER = 8
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
-        self._rng = np.random.default_rng([seed, 3])
+        super().__init__(dimension, seed, budget)
         self._best = self._rng.random(dimension)
         self._fitness = -np.inf
 
@@ -89,15 +94,15 @@ class MatyasSearch:
             self._best, self._fitness = points[k], float(fitness[k])
 
 
-class CmaEsSearch:
+class CmaEsSearch(Searcher):
     """CMA-ES (the `cma` package) with restarts at random points, each with a larger population."""
 
+    STREAM = 4
     SIGMA = 0.3
     GROWTH = 1.5
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
-        self._dimension = dimension
-        self._rng = np.random.default_rng([seed, 4])
+        super().__init__(dimension, seed, budget)
         self._restarts = 0
         self._es = self._start(self._rng.random(dimension))
 
@@ -136,7 +141,7 @@ def cma_strategy(x: Array, sigma: float, size: int, rng: np.random.Generator) ->
     return cma.CMAEvolutionStrategy(x, sigma, options)
 
 
-class DifferentialEvolutionSearch:
+class DifferentialEvolutionSearch(Searcher):
     """Differential evolution, best/1/bin [1]_, with the parameters of SciPy's.
 
     A trial is the best point plus a scaled difference of two others, crossed with its own point,
@@ -147,11 +152,12 @@ class DifferentialEvolutionSearch:
     .. [1] Storn and Price, Journal of Global Optimization 11, 1997.
     """
 
+    STREAM = 5
     SIZE = 65
     SCALE, CROSSED = (0.5, 1.0), 0.7  # drawn for each generation; share of values from the trial
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
-        self._rng = np.random.default_rng([seed, 5])
+        super().__init__(dimension, seed, budget)
         self._points = self._rng.random((self.SIZE, dimension))
         self._fitness = np.full(self.SIZE, -np.inf)
 
@@ -178,7 +184,7 @@ class DifferentialEvolutionSearch:
         self._fitness = np.where(better, fitness, self._fitness)
 
 
-class MixedSearch:
+class MixedSearch(Searcher):
     """The default: a Latin hypercube, then a race of CMA-ES runs from its best points.
 
     The runs start at well-separated points and share some generations; the best continue, one for
@@ -186,15 +192,16 @@ class MixedSearch:
     the best point of all.
     """
 
+    STREAM = 6
     DESIGN = 64
     RUNS, LAPS = 4, 8  # runs in the race, and its generations
     SIGMA, SMALL = 0.2, 0.1
     APART = 0.15  # RMS distance between the starting points
 
     def __init__(self, dimension: int, seed: int, budget: int) -> None:
+        super().__init__(dimension, seed, budget)
         # The usual population of CMA-ES.
-        self._dimension, self._size = dimension, 4 + int(3 * np.log(dimension))
-        self._rng = np.random.default_rng([seed, 6])
+        self._size = 4 + int(3 * np.log(dimension))
         self._survivors = int(np.clip(budget // 10_000, 1, 16))
         self._lap = 0
         self._runs: list[Any] = []
@@ -272,4 +279,4 @@ def make_searcher(method: str, dimension: int, seed: int, budget: int) -> Search
     """
     if method not in METHODS:
         raise ConfigError(f"method: {method!r} is unknown; known: {', '.join(METHODS)}")
-    return METHODS[method](dimension, seed, budget)  # type: ignore[call-arg]
+    return METHODS[method](dimension, seed, budget)

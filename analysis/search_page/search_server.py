@@ -5,7 +5,8 @@ import asyncio
 import contextlib
 from pathlib import Path
 
-from analysis.search.search_command import apply_options, new_folder
+from analysis.report.run_folder import numbered_folder
+from analysis.search.search_command import apply_options
 from analysis.search.search_session import SearchSession
 from analysis.search.space.test_file import TestFile, read_test
 from analysis.search_page.flight_routes import FlightPage
@@ -32,7 +33,7 @@ def make_flights(test: TestFile, folder: Path) -> Flights:
 
 def main(args: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C, then print the saved files."""
-    folder = Path(args.out) if args.out else new_folder(Path("runs"))
+    folder = Path(args.out) if args.out else numbered_folder("search")
     flights = make_flights(apply_options(read_test(args.testfile), args), folder)
     bound = open_socket(None)
     access, address = access_for(bound)

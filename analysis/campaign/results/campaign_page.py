@@ -29,6 +29,9 @@ from analysis.campaign.results_store import CellEvidence
 from analysis.estimators import estimator_names
 from analysis.flying.flight_evidence import Evidence, EvidenceCurve
 from analysis.flying.onset import onset_keys
+from analysis.report.page.page_body import table_html
+from analysis.report.page.page_file import embedded_json, html_document, read_asset
+from analysis.report.page.page_parts import ReportTable
 from analysis.scoring.requirements import parse_requirements, requirement_arguments
 
 MAX_LISTED = 5000  # results in the page, the worst ones
@@ -64,20 +67,12 @@ def render_campaign_page(
         },
         "twins": {key: _curves(evidence) for key, evidence in references.items()},
     }
-    # `</script>` inside a string would end the block.
-    text = json.dumps(model, allow_nan=False).replace("<", "\\u003c")
-    name = escape(plan.campaign.name)
     # Style and plots are shared with the reports.
-    shared = files("analysis.report.page") / "assets"
     own = files("analysis.campaign.results") / "assets"
-    styles = (shared / "uPlot.min.css", shared / "page.css", own / "campaign.css")
-    style = "".join(path.read_text() for path in styles)
-    return "".join(
+    style = read_asset("uPlot.min.css") + read_asset("page.css")
+    body = "".join(
         (
-            '<!doctype html><html lang="en"><head><meta charset="utf-8">',
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f"<title>{name}</title><style>{style}</style></head>",
-            f"<body><header><h1>{name}</h1></header><main>",
+            f"<header><h1>{escape(plan.campaign.name)}</h1></header><main>",
             "" if reload_s is None else _progress_html(len(results), plan.max_cells),
             _facts_html(results),
             '<p class="note">Each cell is one magnitude of a fault and shows the worst outcome of '
@@ -86,11 +81,15 @@ def render_campaign_page(
             _reactions_html(grid),
             _pareto_html(grid, plan.campaign.limits),
             _worst_html(listed[:WORST_ROWS], units),
-            f'</main><script type="application/json" id="model">{text}</script>',
-            f"<!-- uPlot: {(shared / 'uPlot.LICENSE').read_text()} -->",
-            f"<script>{(shared / 'uPlot.iife.min.js').read_text()}</script>",
-            f"<script>{(own / 'campaign.js').read_text()}</script></body></html>\n",
+            f'</main><script type="application/json" id="model">{embedded_json(model)}</script>',
+            f"<!-- uPlot: {read_asset('uPlot.LICENSE')} -->",
         )
+    )
+    return html_document(
+        plan.campaign.name,
+        style + (own / "campaign.css").read_text(),
+        body,
+        read_asset("uPlot.iife.min.js") + "\n" + (own / "campaign.js").read_text(),
     )
 
 
@@ -196,7 +195,7 @@ def _reactions_html(grid: Sequence[GridRow]) -> str:
             )
         )
     head = ("subject", "fault", "detected", "median delay, s", "recovered", "median recovery, s")
-    return "<h2>Reaction times</h2>" + html_table("Reaction times", head, rows)
+    return "<h2>Reaction times</h2>" + table_html(ReportTable("Reaction times", head, rows))
 
 
 def _pareto_html(grid: Sequence[GridRow], limits: OutcomeLimits) -> str:
@@ -215,8 +214,8 @@ def _pareto_html(grid: Sequence[GridRow], limits: OutcomeLimits) -> str:
         so_far += count
         rows.append((subject, fault, f"{count}", f"{count / total:.0%}", f"{so_far / total:.0%}"))
     head = ("subject", "fault", f"cells {limits.worse_from} or worse", "share", "cumulative")
-    return "<h2>Most harmful faults (Pareto)</h2>" + html_table(
-        "Pareto", head, rows[:MAX_PARETO_ROWS]
+    return "<h2>Most harmful faults (Pareto)</h2>" + table_html(
+        ReportTable("Pareto", head, rows[:MAX_PARETO_ROWS])
     )
 
 
@@ -241,16 +240,4 @@ def _worst_html(results: Sequence[CellResult], units: dict[str, MagnitudeUnit]) 
         "outcome", "subject", "fault", "magnitude", "onset", "excursion, deg", "excursion, m",
         "note", "monitor",
     )  # fmt: skip
-    return "<h2>Worst cells</h2>" + html_table("Worst cells", head, rows)
-
-
-def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table of escaped texts that scrolls if it is too wide."""
-    top = "".join(f"<th>{escape(name)}</th>" for name in head)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(text)}</td>" for text in row) + "</tr>" for row in rows
-    )
-    return (
-        f'<div class="wide" tabindex="0" role="group" aria-label="{title}">'
-        f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>"
-    )
+    return "<h2>Worst cells</h2>" + table_html(ReportTable("Worst cells", head, rows))

@@ -20,7 +20,6 @@ import shlex
 from collections import Counter
 from collections.abc import Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from statistics import median
 
@@ -30,9 +29,11 @@ from analysis.campaign.campaign_file import CampaignFile, FaultChoice
 from analysis.campaign.cell import CellResult, file_key
 from analysis.campaign.magnitude_unit import magnitude_units
 from analysis.campaign.outcomes import ABORTED
-from analysis.campaign.results.campaign_page import html_table
 from analysis.campaign.results.outcome_grid import GridCell, GridRow, outcome_grid
 from analysis.campaign.results_store import read_campaign_folder
+from analysis.report.page.page_body import table_html
+from analysis.report.page.page_file import html_document, read_asset
+from analysis.report.page.page_parts import ReportTable
 from mavproxy_fault import __version__
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.extras import import_extra
@@ -43,6 +44,7 @@ from mavproxy_fault.schedule.presets import read_preset
 CONFIDENCE = 0.95
 # A page of paper takes all columns: hashes and commands wrap.
 PRINTED = "@page { size: landscape; } .wide td:nth-last-child(-n+2) { overflow-wrap: anywhere; }"
+TITLES = ("Inputs", "Failure modes and effects", "Requirements")
 Row = dict[str, str]
 
 
@@ -176,21 +178,20 @@ def render_page(campaign: CampaignFile, tables: dict[str, list[Row]]) -> str:
     paths = [campaign.scenario_arguments(name)[0] for name in campaign.scenario_names]
     paths += [s.binary for s in campaign.subjects if not isinstance(s, str)]
     inputs += [(path, file_hash(path)) for path in dict.fromkeys(paths)]
-    parts = [html_table("Inputs", ("input", "sha256"), inputs)]
-    for title, rows in zip(("Failure modes and effects", "Requirements"), tables.values(),
-                           strict=True):  # fmt: skip
+    tables = {"Inputs": [{"input": name, "sha256": digest} for name, digest in inputs], **tables}
+    parts = []
+    for title, rows in zip(TITLES, tables.values(), strict=True):
         if rows:
-            parts.append(f"<h2>{title}</h2>")
-            parts.append(html_table(title, list(rows[0]), [list(row.values()) for row in rows]))
-    style = (files("analysis.report.page") / "assets" / "page.css").read_text() + PRINTED
-    name = escape(f"Evidence: {campaign.name}")
-    return (
-        f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{name}</title>'
-        f"<style>{style}</style></head><body><header><h1>{name}</h1></header><main>"
+            table = ReportTable(title, list(rows[0]), [list(row.values()) for row in rows])
+            parts.append(f"<h2>{title}</h2>{table_html(table)}")
+    name = f"Evidence: {campaign.name}"
+    body = (
+        f"<header><h1>{escape(name)}</h1></header><main>"
         "<p>Bounds: share of failed flights, 95 % confidence (Clopper and Pearson), for the "
         "conditions flown here. A hash covers the results of a row except the time they took; the "
-        "command makes them again, in this folder.</p>" + "".join(parts) + "</main></body></html>\n"
+        "command makes them again, in this folder.</p>" + "".join(parts) + "</main>"
     )
+    return html_document(name, read_asset("page.css") + PRINTED, body, "")
 
 
 def file_hash(path: str) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 from urllib.parse import quote
 
 from analysis.report.page.page_body import css_class
-from analysis.report.page.page_file import read_asset, security_policy
+from analysis.report.page.page_file import html_document, read_asset
 
 HEAD = ("verdict", "flight", "duration, s", "autopilot", "worst checks")
 UNREADABLE = "unreadable"
@@ -23,20 +23,15 @@ def index_html(title: str, rows: Sequence[Mapping[str, Any]]) -> str:
         f'<div><b class="{css_class(word)}">{count}</b><span>{escape(word)}</span></div>'
         for word, count in sorted(counts.items())
     )
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        # The policy must precede the scripts and styles.
-        f"{security_policy(script, style)}"
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{style}</style></head><body>"
+    body = (
         f"<header><h1>{escape(title)}</h1></header><main>"
         f'<div class="facts"><div><b>{len(rows)}</b><span>flights</span></div>{facts}</div>'
         '<p><label>Show rows with <input id="filter" placeholder="FAIL, vibration, ..."></label> '
         '<span id="shown" class="note" role="status"></span></p>'
         f'<div class="wide"><table id="flights"><thead><tr>{head}</tr></thead>'
         f"<tbody>{''.join(map(_row, rows))}</tbody></table></div></main>"
-        f"<script>{script}</script></body></html>\n"
     )
+    return html_document(title, style, body, script)
 
 
 def _row(row: Mapping[str, Any]) -> str:

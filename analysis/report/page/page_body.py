@@ -189,15 +189,20 @@ def _printed(title: str, text: str) -> str:
     )
 
 
-def _table(table: ReportTable) -> str:
+def table_html(table: ReportTable) -> str:
+    """A table without its title and note; it scrolls if it is too wide."""
     head = "".join(f"<th>{escape(name)}</th>" for name in table.head)
     heads = table.head if table.style == "cards" else [""] * len(table.head)
     rows = "".join("<tr>" + "".join(map(_cell, row, heads)) + "</tr>" for row in table.rows)
-    text = (
+    return (
         f'<div class="wide" tabindex="0" role="group" aria-label="{escape(table.title)}">'
         f'<table class="{table.style}"><thead><tr>{head}</tr></thead>'
         f"<tbody>{rows}</tbody></table></div>"
     )
+
+
+def _table(table: ReportTable) -> str:
+    text = table_html(table)
     if table.note:
         text += f'<p class="note">{escape(table.note)}</p>'
     if table.folded:

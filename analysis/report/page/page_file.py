@@ -48,23 +48,31 @@ def page_html(page: ReportPage, recording: FlightData, fields: FieldData | None 
         f'<script type="text/plain" id="fields-{number}">{text}</script>'
         for number, text in fields.inside.items()
     )
-    return "".join(
+    body = "".join(
         (
-            '<!doctype html><html lang="en"><head><meta charset="utf-8">',
-            security_policy(script, style),
-            '<meta name="viewport" content="width=device-width, initial-scale=1">',
-            f"<title>{escape(page.title)}</title><style>{style}</style></head><body>",
             f"<header><h1>{escape(page.title)}</h1>",
             f'<p class="verdict {css_class(page.verdict)}">{escape(page.verdict)}</p></header>',
             _navigation(links),
             "<main>",
             overview_html(page, recording),
             *(section_html(section, page, recording, model) for section in sections),
-            f'</main><script type="application/json" id="model">{_json(model)}</script>',
+            f'</main><script type="application/json" id="model">{embedded_json(model)}</script>',
             f'<script type="text/plain" id="numbers">{numbers.text()}</script>{blocks}',
             f"<!-- uPlot: {read_asset('uPlot.LICENSE')} -->",
-            f"<script>{script}</script></body></html>\n",
         )
+    )
+    return html_document(page.title, style, body, script)
+
+
+def html_document(title: str, style: str, body: str, script: str) -> str:
+    """A complete HTML file that needs no network, and loads nothing from it."""
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        # The policy must precede the scripts and styles.
+        f"{security_policy(script, style)}"
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{style}</style></head><body>"
+        f"{body}<script>{script}</script></body></html>\n"
     )
 
 
@@ -73,7 +81,8 @@ def read_asset(name: str) -> str:
     return (files("analysis.report.page") / "assets" / name).read_text(encoding="utf-8")
 
 
-def _json(value: object) -> str:
+def embedded_json(value: object) -> str:
+    """JSON for a block of a page."""
     # `</script>` within a string would end the block.
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 

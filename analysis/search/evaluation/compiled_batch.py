@@ -43,7 +43,7 @@ from analysis.search.space.dimensions import (
     flights_of,
     space_of,
 )
-from analysis.search.space.point_scenario import altitude_of
+from analysis.search.space.point_scenario import FIELD_HZ, GPS_HZ, PRESSURE_HZ, altitude_of
 from analysis.search.space.test_file import COMPILED_ESTIMATORS, StateScales, TestFile
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
@@ -54,8 +54,6 @@ from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.multirotor.sway_kernel import quad_parameters
 
 Array = NDArray[np.float64]
-# Usual sample rates of magnetometer, GPS receiver and pitot tube on a small aircraft.
-FIELD_HZ, VELOCITY_HZ, PRESSURE_HZ = 25.0, 5.0, 10.0
 # The number of the kernel without a filter, for flights scored in Python.
 HEUN = 0
 INVERTED_CRITERIA = {"height": HEIGHT, "airspeed": AIRSPEED, "position": POSITION}
@@ -134,22 +132,15 @@ class Batch(Evaluator):
 
 def plan_of(test: TestFile, airframe: Airframe) -> Plan:
     """The kernel's parameters of a test."""
-    # The field points down by the inclination and east of north by the declination.
-    dip, variation = np.radians([test.inclination_deg, test.declination_deg])
-    north, down = test.field_gauss * np.cos(dip), test.field_gauss * np.sin(dip)
     return Plan(
         steps=round(test.duration_s / test.dt_s),
         dt_s=test.dt_s,
         gravity_mps2=STANDARD_GRAVITY_MPS2,
         density_kgpm3=test.density_kgpm3,
-        field_ned_gauss=(
-            float(north * np.cos(variation)),
-            float(north * np.sin(variation)),
-            float(down),
-        ),
-        declination_rad=float(variation),
+        field_ned_gauss=test.field_ned_gauss,
+        declination_rad=float(np.radians(test.declination_deg)),
         field_every=max(1, round(1.0 / FIELD_HZ / test.dt_s)),
-        velocity_every=max(1, round(1.0 / VELOCITY_HZ / test.dt_s)),
+        velocity_every=max(1, round(1.0 / GPS_HZ / test.dt_s)),
         pressure_every=max(1, round(1.0 / PRESSURE_HZ / test.dt_s)),
         mission=test.mission is not None,
         gusts=test.gusts != "none",
@@ -165,7 +156,7 @@ def plan_of(test: TestFile, airframe: Airframe) -> Plan:
             test.density_kgpm3,
             STANDARD_GRAVITY_MPS2,
             test.static_pressure == "linear",
-            float(np.exp(-test.position_k_per_s / VELOCITY_HZ)),
+            float(np.exp(-test.position_k_per_s / GPS_HZ)),
         ),
         estimator=KERNELS.get(test.estimator, HEUN),
         tunings=tunings_of(test.estimator),

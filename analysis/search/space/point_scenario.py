@@ -17,7 +17,7 @@ from simvehicle.environment.air import SEA_LEVEL_K, SEA_LEVEL_PA
 from simvehicle.scenario.changed_scenario import with_value
 
 Document = dict[str, Any]
-# Sensor rates of the compiled flights.
+# Usual sample rates of GPS receiver, magnetometer and pressure sensors on a small aircraft.
 GPS_HZ, FIELD_HZ, PRESSURE_HZ = 5.0, 25.0, 10.0
 
 
@@ -146,9 +146,6 @@ def _controlled(test: TestFile, controls: Document, mission: Document) -> Docume
 
 
 def _sensors(test: TestFile, values: Mapping[str, float]) -> Document:
-    dip, variation = np.radians([test.inclination_deg, test.declination_deg])
-    north, down = test.field_gauss * np.cos(dip), test.field_gauss * np.sin(dip)
-    field = [north * np.cos(variation), north * np.sin(variation), down]
     gyro = np.radians([values[f"gyro_bias_{axis}_dps"] for axis in "xyz"])
     pitot = {"rate_hz": PRESSURE_HZ, "noise": {"sigma": values["pressure_sigma_pa"]}}
     return {
@@ -165,7 +162,7 @@ def _sensors(test: TestFile, values: Mapping[str, float]) -> Document:
         },
         "mag": {
             "rate_hz": FIELD_HZ,
-            "field_ned_gauss": [float(x) for x in field],
+            "field_ned_gauss": [*test.field_ned_gauss],
             "noise": {"sigma": values["field_sigma_gauss"]},
         },
         "baro": {

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import msgspec
+import numpy as np
 
 from analysis.scoring.requirements import Requirement, parse_requirements
 from analysis.search.space.airframe import has_rotors
@@ -284,6 +285,17 @@ class TestFile(Section, frozen=True):
             return self.requirement.unit
         units = {"state": "", "height": "m", "airspeed": "m/s", "position": "m"}
         return units.get(self.criterion, "deg")
+
+    @property
+    def field_ned_gauss(self) -> tuple[float, float, float]:
+        """The magnetic field: down by the inclination, east of north by the declination."""
+        dip, variation = np.radians([self.inclination_deg, self.declination_deg])
+        north = self.field_gauss * np.cos(dip)
+        return (
+            float(north * np.cos(variation)),
+            float(north * np.sin(variation)),
+            float(self.field_gauss * np.sin(dip)),
+        )
 
     @property
     def simulated(self) -> bool:
