@@ -39,7 +39,7 @@ from analysis.detection.filter.lasting_errors import (
     snapshot_cofactor,
     snapshot_design,
 )
-from analysis.detection.filter.measurement import Innovations
+from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
 from analysis.detection.statistics.chi_square import two_sided_bound
 from analysis.orbits.broadcast import geomagnetic_latitude, troposphere_m
 from analysis.samples.sample import Vector
@@ -78,21 +78,34 @@ def bound_position(
     r_ecef_m: Vector,
     misfit: VarianceFactor,
     slow_share: float,
+    rivals: Innovations = NO_INNOVATIONS,
 ) -> PositionBounds:
     """The bounds of a position (3,) by the n satellites in use.
 
     Their innovations were taken `moved_m` (3,) before it and less frozen offsets (n,);
-    `slow_share` is the variance of lasting range errors over that of noise.
+    `slow_share` is the variance of lasting range errors over that of noise. The satellites `rivals`
+    contradict those, and may as well be right: the levels cover their position too, and the
+    covariance is that of either position with the same probability.
     """
     factor = misfit.factor
     lat, lon, _ = geodetic_position(r_ecef_m)
     share = max(factor, 1.0) * (1.0 + slow_share)
-    weight = _weights(used, _zenith_ionosphere_m(lat, lon), share)
-    v = used.range_m + offset_m - used.geometry[:, :AXES] @ moved_m
     axes, lasts = ned_axes(lat, lon), lasting_variance(used, factor)
     a = snapshot_design(used.geometry, axes)
     lasting_m2 = lasting_position_covariance(a, 1.0 / used.variance, lasts)
-    levels_m = _levels(a, weight, v, level_factors())
+    count, factors = len(used.range_m), level_factors()
+    used = used._replace(range_m=used.range_m + offset_m)
+    if len(rivals.range_m):
+        used = Innovations(*map(np.concatenate, zip(used, rivals, strict=True)))
+        # A system is wrong, so its prior is 1.
+        a, factors = snapshot_design(used.geometry, axes), factors[:, [0, 1, 0]]
+    weight = _weights(used, _zenith_ionosphere_m(lat, lon), share)
+    v = used.range_m - used.geometry[:, :AXES] @ moved_m
+    if len(rivals.range_m):
+        alone = snapshot_design(rivals.geometry, axes)
+        off_m = _snapshot(alone, weight[count:], v[count:])[0][:AXES]
+        lasting_m2 += 0.5 * np.outer(off_m, off_m)
+    levels_m = _levels(a, weight, v, factors)
     north_m, east_m, vertical_m = levels_m.tolist()
     return PositionBounds(
         factor, axes.T @ lasting_m2 @ axes, math.hypot(north_m, east_m), vertical_m

@@ -13,14 +13,10 @@ def run_remarks(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
         ("untestable", f"{_epochs(count)}: {reason}")
         for reason, count in summary["untestable_reasons"].items()
     ]
-    if unexplained := summary.get("unexplained_epochs"):
-        found.append(
-            (
-                "unexplained",
-                f"{unexplained} of {_epochs(epochs)}: more satellites contradict each other than"
-                " the monitor may leave out (left_out)",
-            )
-        )
+    found += [
+        ("unexplained", f"{count} of {_epochs(epochs)}: {reason}")
+        for reason, count in summary.get("unexplained_reasons", {}).items()
+    ]
     found += [("ephemeris", text) for text in summary.get("wrong_ephemerides", ())]
     unused: dict[str, list[str]] = {}
     for row in summary.get("unused_satellites", ()):

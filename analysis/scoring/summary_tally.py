@@ -23,6 +23,7 @@ from mavproxy_fault.wire.label import Label
 
 PositionResult = Decision | FusedState  # results with a position
 FILTER = "filter"  # the detector's own position among the solutions
+TOO_MANY = "more satellites contradict each other than the monitor may leave out (left_out)"
 SHOWN_REASONS = 3  # most frequent reasons in the summary
 EPOCH_US = 1_000_000  # between epochs, where there are too few to measure it
 
@@ -43,7 +44,7 @@ class Tally:
         self._truth: Vector | None = None  # latitude, longitude in degrees, altitude (3,)
         self._reference = reference
         self.positions = PositionScores()
-        self.unexplained = 0
+        self.unexplained: Counter[str] = Counter()  # likewise
         # Of each satellite without a usable ephemeris the first reason, and its epochs.
         self._unused: dict[str, tuple[str, int]] = {}
         self._wrong_ephemerides: list[str] = []
@@ -108,7 +109,8 @@ class Tally:
         self.epochs += 1
         if result.hypothesis == "untestable":
             self.untestable[result.reason] += 1
-        self.unexplained += result.hypothesis == "multiple-unknown"
+        if result.hypothesis == "multiple-unknown":
+            self.unexplained[result.reason or TOO_MANY] += 1
         if result.hypothesis == "ephemeris":
             self._wrong_ephemerides.append(result.reason)
         for name, reason in result.unused.items():
@@ -176,7 +178,8 @@ class Tally:
             "untestable_epochs": self.untestable.total(),
             "untestable_reasons": dict(self.untestable.most_common(SHOWN_REASONS)),
             "attitude_rmse_deg": first["rmse_deg"] if first else None,
-            "unexplained_epochs": self.unexplained,
+            "unexplained_epochs": self.unexplained.total(),
+            "unexplained_reasons": dict(self.unexplained),
             "wrong_ephemerides": self._wrong_ephemerides,
             "unused_satellites": [
                 {"satellite": name, "reason": reason, "epochs": count}

@@ -22,6 +22,7 @@ SYSTEM_PENALTY = 6.0  # a system fails as a whole less often than one of its sat
 LEAST_MOVED, LEAST_CLOCK = 5, 3  # satellites of a system: one more than its parameters, two
 SYSTEM_CLOCK = "system-clock"
 SYSTEMS_CONTRADICT = "two systems contradict each other, and it is ambiguous which one is wrong"
+ONE_FOLLOWED = f"{SYSTEMS_CONTRADICT}: one is followed, the bounds cover both"
 FREED_PARAMETERS = ((1, LEAST_CLOCK, SYSTEM_CLOCK), (4, LEAST_MOVED, "satellites"))
 SHIFT_GAIN = chi_square_threshold(3, 0.01)  # that three more parameters gain by chance in 1 %
 SEPARABLE_COST = 10.0  # a rival's additional J, or it is ambiguous: likelihoods 150 to 1

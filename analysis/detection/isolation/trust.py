@@ -33,7 +33,8 @@ class Trust(Value, frozen=True):
     may follow a wrong source, `misled` that it follows satellites that were found to be wrong all
     together. `rate_faults` counts the epochs in a row in which a satellite's Doppler rate alone was
     wrong. `to_confirm` is how many epochs must still agree with a start that could not be tested
-    well, before its position has a bound.
+    well, before its position has a bound. `contradicting` are the first letters of excluded systems
+    that contradict the one in use, where it is unknown which is wrong.
     """
 
     excluded: Exclusions = NO_EXCLUSIONS
@@ -45,3 +46,4 @@ class Trust(Value, frozen=True):
     misled: bool = False
     rate_faults: dict[str, int] = NO_RATE_FAULTS
     to_confirm: int = 0
+    contradicting: str = ""

@@ -14,6 +14,7 @@ from analysis.detection.filter.epoch_update import update_filter
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.information import normal_equations
 from analysis.detection.filter.lasting_errors import VarianceFactor
+from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
 from analysis.detection.isolation.all_satellites import (
     COASTING_REASON,
     FOLLOWED_REASON,
@@ -89,7 +90,8 @@ def commit(
     # To a filter without an IMU an acceleration was the vehicle's own: not an error of the IMU.
     if ramps is not None and motion.inertial and not before.inertial:
         ramps = ramps.without_accelerations()
-    factor, bounds = _bound_position(assessment, verdict, memory, motion, config)
+    contradicting = trust.contradicting
+    factor, bounds = _bound_position(assessment, verdict, memory, motion, contradicting, config)
     shift = _update_common_shift(assessment, verdict, config)
     memory = memory._replace(ramps=ramps, variance_factor=factor, common_shift=shift)
     timing = core.timing._replace(ranges_us=t_us)
@@ -150,11 +152,17 @@ def _update_trust(
     undecided = imu_isolated and (trust.misled or verdict.source == UNDECIDED)
     is_imu = imu_isolated and not undecided  # then it was the IMU before, too
     faulty = tuple(names[i] for i in ranges.faulty)
-    unexplained = ranges.hypothesis in ("multiple-unknown", "gps") and not jumped
+    unexplained = ranges.hypothesis in ("multiple-unknown", "gps") and not jumped and not faulty
     # A satellite that the ranges isolate too is reported as excluded.
     wrong_rates = [names[i] for i in verdict.rates.faulty if i not in ranges.faulty]
+    excluded = add_exclusions(remaining, faulty, t_us, t_us, ranges.whole_system)
+    contradicting = trust.contradicting
+    if faulty and ranges.hypothesis == "multiple-unknown":
+        contradicting += "".join({name[0] for name in faulty} - {*contradicting})
+    if not any(name[0] in contradicting for name in excluded):
+        contradicting = ""
     return Trust(
-        excluded=add_exclusions(remaining, faulty, t_us, t_us, ranges.whole_system),
+        excluded=excluded,
         # The first epoch of several counts.
         unexplained_since_us=(trust.unexplained_since_us or t_us) if unexplained else None,
         distrusted="" if jumped else next_distrust(trust.distrusted, verdict.rates, ranges),
@@ -164,6 +172,7 @@ def _update_trust(
         misled=trust.misled,
         rate_faults={name: trust.rate_faults.get(name, 0) + 1 for name in wrong_rates},
         to_confirm=max(trust.to_confirm - _confirms_start(assessment, verdict), 0),
+        contradicting=contradicting,
     )
 
 
@@ -212,7 +221,7 @@ def _give_up(core: DetectorCore, t_us: int, config: DetectorConfig) -> DetectorC
 def _unbounded_reason(assessment: Assessment, verdict: EpochVerdict, trust: Trust) -> str:
     """Why nothing bounds the position; empty where something does."""
     ranges = verdict.ranges
-    if ranges.whole_system and ranges.hypothesis == "multiple-unknown":
+    if ranges.whole_system and ranges.hypothesis == "multiple-unknown" and not ranges.faulty:
         return SYSTEMS_CONTRADICT
     motion = assessment.prediction.motion
     if verdict.carry_off is not None and is_coasting(motion, assessment.innovations):
@@ -227,10 +236,11 @@ def _bound_position(
     verdict: EpochVerdict,
     memory: EpochMemory,
     motion: MotionEstimate,
+    contradicting: str,
     config: DetectorConfig,
 ) -> tuple[VarianceFactor, PositionBounds]:
     """How well the ranges have fitted, and the bounds of the position after the epoch, by the
-    satellites that were not found faulty."""
+    satellites that were not found faulty, and by those of the systems `contradicting` them."""
     prediction, statistics = assessment.prediction, assessment.statistics
     names, innovations = assessment.satellites, assessment.innovations
     faulty, parity, dof = verdict.ranges.faulty, statistics.parity, statistics.parity_dof
@@ -247,4 +257,13 @@ def _bound_position(
     moved_m = motion.x[:3] - prediction.motion.x[:3]
     offset_m = frozen_offsets_m(memory.frozen, names, motion.t_us, config)
     share = config.sigma.slow**2
-    return factor, bound_position(innovations, moved_m, offset_m, motion.x[:3], factor, share)
+    rivals = NO_INNOVATIONS
+    if contradicting:
+        pairs = zip(assessment.innovations, assessment.excluded_innovations, strict=True)
+        both = (*assessment.satellites, *assessment.excluded)
+        rivals = Innovations(*map(np.concatenate, pairs)).select(
+            np.array([name[0] in contradicting for name in both])
+        )
+    return factor, bound_position(
+        innovations, moved_m, offset_m, motion.x[:3], factor, share, rivals
+    )

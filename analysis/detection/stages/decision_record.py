@@ -10,6 +10,7 @@ from analysis.detection.filter.filter_state import ImuStatus, MotionEstimate
 from analysis.detection.filter.measurement import EpochObservation
 from analysis.detection.filter.propagation import is_silent
 from analysis.detection.isolation.all_satellites import FOLLOWED_REASON, JUMP_REASON
+from analysis.detection.isolation.constellations import ONE_FOLLOWED
 from analysis.detection.isolation.rate_test import RateVerdict
 from analysis.detection.isolation.trust import awaited_confirmation
 from analysis.detection.protection_levels import LARGEST_LEVEL_M, PositionBounds, level_assumptions
@@ -31,6 +32,9 @@ def build_decision(
     dof, excluded = statistics.parity_dof, tested.excluded
     bounds = None if tested.unbounded else tested.bounds
     used = [name for i, name in enumerate(names) if i not in ranges.faulty]
+    # The levels cover these too.
+    contradicting = core.trust.contradicting
+    used += [name for name in names + excluded.names if name[0] in contradicting]
     onsets = [entry.onset_us for entry in core.trust.excluded.values()]
     # A fault that was found by its past is one of satellites, also where this epoch passed.
     hypothesis = "satellites" if late and tested.hypothesis == "none" else tested.hypothesis
@@ -42,7 +46,7 @@ def build_decision(
         p_value=p_value(ranges.statistic, len(names)),
         alarm=tested.alarm or late,
         hypothesis=hypothesis,
-        excluded=tuple(sorted(core.trust.excluded)),
+        excluded=_excluded(core),
         unused=_unused(core),
         satellites=names + excluded.names,
         residual_m=(*assessment.innovations.range_m.tolist(), *excluded.range_m.tolist()),
@@ -53,7 +57,7 @@ def build_decision(
         position_ecef_m=_position(motion) if motion is not None else None,
         **_uncertainty(None if tested.unbounded else motion, bounds),
         **_levels(bounds, used),
-        reason=tested.unbounded,
+        reason=tested.unbounded or ONE_FOLLOWED * bool(contradicting),
         mode="inertial" if motion is not None and motion.inertial else "free",
         # Without a degree of freedom there is no test: zeros, not NaN.
         parity_statistic=statistics.parity if dof else 0.0,
@@ -148,9 +152,18 @@ def _rate_decision(
     )
 
 
+def _excluded(core: DetectorCore) -> tuple[str, ...]:
+    """The excluded satellites; those of a system that may as well be right are only unused."""
+    trust = core.trust
+    return tuple(sorted(name for name in trust.excluded if name[0] not in trust.contradicting))
+
+
 def _unused(core: DetectorCore) -> dict[str, str]:
-    """Satellites in view without a usable ephemeris, and why."""
-    return core.broadcast.selection.unused if core.broadcast.selection is not None else {}
+    """Satellites in view that are neither used nor found faulty, and why."""
+    known, trust = core.broadcast.selection, core.trust
+    doubted = [name for name in trust.excluded if name[0] in trust.contradicting]
+    why = dict.fromkeys(doubted, "its system contradicts the one that is followed")
+    return {**(known.unused if known is not None else {}), **why}
 
 
 def _position(motion: MotionEstimate) -> tuple[float, float, float]:

@@ -55,6 +55,8 @@ def reported_hypothesis(
         return by_imu
     if trust.jump_m is not None:
         return "gps"
+    if trust.contradicting:
+        return "multiple-unknown"
     return "satellites" if trust.excluded else "none"
 
 

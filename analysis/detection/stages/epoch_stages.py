@@ -10,6 +10,7 @@ from analysis.detection.isolation.ramp_test import ramp_onset_us
 from analysis.detection.stages.assess import assess
 from analysis.detection.stages.commit import commit, commit_untested
 from analysis.detection.stages.epoch_outcome import EpochOutcome, TestedEpoch
+from analysis.detection.stages.followed_system import follow_one_system
 from analysis.detection.stages.isolate import isolate
 from analysis.detection.stages.predict import predict
 from analysis.samples.block import ImuRun
@@ -33,6 +34,7 @@ def run_stages(
     if assessment.shortage:
         return commit_untested(assessment, core, config)
     verdict = isolate(assessment, core, run, history, config)
+    verdict = follow_one_system(assessment, verdict, history)
     return commit(assessment, verdict, core, config)
 
 
@@ -52,6 +54,8 @@ def late_onsets(
         onset_us = ramp_onset_us(core.memory.ramps, names[i], t_us, config)
         if onset_us < t_us:
             onsets[names[i]] = onset_us
+    if onsets and verdict.ranges.whole_system:  # a system fails at once
+        return dict.fromkeys((names[i] for i in verdict.ranges.faulty), min(onsets.values()))
     return onsets
 
 
@@ -70,13 +74,16 @@ def repair(
     kept = tuple(record for record in history if record.t_us <= since_us)
     again = history[len(kept) :]
     core, found_us = again[0].core, history[-1].t_us
-    excluded = core.trust.excluded
+    excluded, trust = core.trust.excluded, outcome.core.trust
     for name, onset_us in onsets.items():
         # Found now, even if it was excluded then: the replay must not readmit it.
         known = excluded.get(name)
         since = onset_us if known is None else min(onset_us, known.onset_us)
-        excluded = {**excluded, name: Exclusion(since, found_us)}
-    core = core._replace(trust=core.trust._replace(excluded=excluded))
+        new = trust.excluded.get(name)
+        whole = new is not None and new.whole_system
+        excluded = {**excluded, name: Exclusion(since, found_us, whole_system=whole)}
+    contradicting = trust.contradicting
+    core = core._replace(trust=core.trust._replace(excluded=excluded, contradicting=contradicting))
     replayed, last = list(kept), outcome
     for record in again:
         # The replay may lose the filter where the original did not: the history ends there.
@@ -86,7 +93,7 @@ def repair(
         replayed.append(EpochRecord(record.t_us, core, record.observation, record.run))
         core = last.core
     # What the replay excluded takes precedence over what was excluded before.
-    excluded = {**outcome.core.trust.excluded, **core.trust.excluded}
+    excluded = {**trust.excluded, **core.trust.excluded}
     core = core._replace(
         trust=core.trust._replace(excluded=excluded),
         history=tuple(replayed),

@@ -148,7 +148,7 @@ def is_coasting(motion: MotionEstimate, innovations: Innovations) -> bool:
     a fault of the IMU itself would then go undetected."""
     h = innovations.geometry
     clocks = _observed_clocks(h)
-    _, alone = _eliminate_clocks(h[:, :3], clocks, innovations.range_m, innovations.variance)
+    _, alone = eliminate_clocks(h[:, :3], clocks, innovations.range_m, innovations.variance)
     return bool(np.trace(motion.p[:3, :3]) > np.trace(alone))
 
 
@@ -265,8 +265,8 @@ def _combine_to_fix(assessment: Assessment, axes: Vector) -> FixInnovation | Non
     if known.sum() < LEAST_RATES or len(innovations.range_m) < 3 + clocks.shape[1]:
         return None
     ones = np.ones((int(known.sum()), 1))
-    position = _eliminate_clocks(geometry[:, :3], clocks, innovations.range_m, innovations.variance)
-    velocity = _eliminate_clocks(
+    position = eliminate_clocks(geometry[:, :3], clocks, innovations.range_m, innovations.variance)
+    velocity = eliminate_clocks(
         geometry[known, :3], ones, rate_mps[known], innovations.rate_variance[known]
     )
     r = np.zeros((6, 6))
@@ -286,7 +286,7 @@ def _observed_clocks(geometry: Vector) -> Vector:
     return observed
 
 
-def _eliminate_clocks(
+def eliminate_clocks(
     h: Vector, clocks: Vector, v: Vector, variance: Vector
 ) -> tuple[Vector, Vector]:
     """A vector (3,) and its covariance (3, 3) by innovations v (n,) whose clocks are unknown."""

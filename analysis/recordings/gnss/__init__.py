@@ -1,1 +1,1 @@
-"""Readers of GNSS pseudoranges and ephemerides: RINEX, u-blox, Septentrio, autopilot logs."""
+"""Readers of pseudoranges and ephemerides: RINEX, RTCM 3, u-blox, Septentrio, autopilot logs."""

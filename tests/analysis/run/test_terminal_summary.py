@@ -43,6 +43,7 @@ def test_a_pass_with_unexplained_epochs_has_a_line_about_them(
         "watched": ("satellites",), "untestable_reasons": {}, "epochs_without_imu": 0,
         "unbounded_epochs": 0, "false_by_channel": None, "sim_s": 120.0, "wall_s": 1.0,
         "criteria": [], "verdict": "PASS",
+        "unexplained_reasons": {"more satellites contradict": 1},
     }  # fmt: skip
     print_summary(summary, None)
     assert "unexplained     1 of 120 epochs: more satellites contradict" in capsys.readouterr().out

@@ -17,6 +17,7 @@ from mavproxy_fault.rinex.rinex_text import read_rinex_text
 from mavproxy_fault.schedule.entries import parse_schedule
 
 AT_S, FOR_S, UNTIL_S = 100, 60, 200
+ROOF_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])
 Spoofed = Callable[[dict[str, Any]], list[Decision]]
 
 
@@ -79,3 +80,28 @@ def test_jumps_add_up_until_the_satellites_are_back() -> None:
     both = accumulated_jump_m(first, east)
     assert both is not None
     assert accumulated_jump_m(both, -(north + east)) is None
+
+
+@pytest.mark.parametrize("system", ["G", "E"])
+def test_with_one_system_carried_off_the_position_goes_on_with_the_other(
+    spoofed: Spoofed, system: str
+) -> None:
+    segments = [{"at_s": 0, "for_s": FOR_S, "start": 0, "rate": 1.0}]
+    target = f"PLANT.spoof_north_m[{system}]"
+    found = spoofed({"fault": "plant", "target": target, "profile": {"segments": segments}})
+    acting = [decision for decision in found if 10.0 <= decision.t_s < FOR_S]
+    assert {decision.hypothesis for decision in acting} == {"multiple-unknown"}
+    assert not any(decision.excluded for decision in acting)
+    for decision in acting:
+        assert {name[0] for name in decision.unused} == {system}
+        assert "bounds cover both" in decision.reason
+        assert decision.position_ecef_m is not None
+        assert decision.position_sigma_m is not None
+        assert decision.hpl_m is not None
+        error_m = np.linalg.norm(np.array(decision.position_ecef_m) - ROOF_M)
+        # The other system's position may be the true one as well.
+        assert error_m < 4.0
+        assert decision.t_s < decision.hpl_m
+        assert 0.3 * decision.t_s < np.linalg.norm(decision.position_sigma_m)
+    back = [decision for decision in found if decision.t_s >= FOR_S + 12.0]
+    assert {decision.hypothesis for decision in back} == {"none"}

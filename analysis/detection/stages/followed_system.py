@@ -1,0 +1,70 @@
+"""Two systems contradict each other, and no test tells which is wrong: one of them is followed.
+
+It is the one whose satellites alone put the receiver nearer to where it would be, had it moved on
+as in the seconds before. The position's sigma and levels cover the other system's position too.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from analysis.detection.detector_state import EpochRecord
+from analysis.detection.filter.covariance_release import free_clock, free_position
+from analysis.detection.filter.information import NO_RATES
+from analysis.detection.filter.measurement import systems_in_use
+from analysis.detection.isolation.constellations import LEAST_MOVED
+from analysis.detection.stages.assess import Assessment
+from analysis.detection.stages.imu_or_satellites import eliminate_clocks
+from analysis.detection.stages.isolate import EpochVerdict
+from analysis.samples.sample import Vector
+
+LEAST_STEADY_US = 5_000_000  # of known motion, in each half of the history
+
+
+def follow_one_system(
+    assessment: Assessment, verdict: EpochVerdict, history: Sequence[EpochRecord]
+) -> EpochVerdict:
+    """The verdict with the satellites of the likelier system usable and all others faulty; as it
+    is where it is not about systems, or too little is known."""
+    ranges, motion = verdict.ranges, assessment.prediction.motion
+    if not (ranges.whole_system and ranges.hypothesis == "multiple-unknown"):
+        return verdict
+    expected_m, innovations = _expected_position(history, motion.t_us), assessment.innovations
+    if expected_m is None:
+        return verdict
+    off_m: dict[tuple[int, ...], float] = {}
+    for column in systems_in_use(innovations.geometry).T:
+        own = innovations.select(column > 0.0)
+        if len(own.range_m) >= LEAST_MOVED:
+            h, clock = own.geometry[:, :3], np.ones((len(own.range_m), 1))
+            shift_m, _ = eliminate_clocks(h, clock, own.range_m, own.variance)
+            others = tuple(np.flatnonzero(column == 0.0).tolist())
+            off_m[others] = float(np.linalg.norm(motion.x[:3] + shift_m - expected_m))
+    if not off_m:
+        return verdict
+    others = min(off_m, key=lambda rows: off_m[rows])
+    keep = np.ones(len(innovations.range_m), dtype=bool)
+    keep[list(others)] = False
+    ranges = ranges._replace(
+        motion=free_position(free_clock(motion)),
+        faulty=others,
+        usable=innovations.select(keep),
+        prediction_freed=True,
+    )
+    # Their rates may be as wrong as the ranges.
+    rates = verdict.rates._replace(usable=NO_RATES)
+    return verdict._replace(ranges=ranges, rates=rates, update=None)
+
+
+def _expected_position(history: Sequence[EpochRecord], t_us: int) -> Vector | None:
+    """Where the receiver (3,) would be if it had moved on as in the first half of the history; None
+    where that is too short."""
+    records = [record.core.motion for record in history if record.core.motion is not None]
+    if not records:
+        return None
+    first, middle = records[0], records[len(records) // 2]
+    if min(middle.t_us - first.t_us, t_us - middle.t_us) < LEAST_STEADY_US:
+        return None
+    share = (t_us - middle.t_us) / (middle.t_us - first.t_us)
+    expected_m: Vector = middle.x[:3] + share * (middle.x[:3] - first.x[:3])
+    return expected_m
