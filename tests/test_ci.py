@@ -47,20 +47,24 @@ def fly(tmp_path: Path, *, pythonpath: str = "", **inputs: str) -> subprocess.Co
     )
 
 
-def test_a_campaign_leaves_its_table_in_the_step_summary(tmp_path: Path) -> None:
-    done = fly(tmp_path, campaign=str(CAMPAIGN))
-    # Red without any option: the larger magnitude misleads both estimators.
+@pytest.fixture(scope="module")
+def first(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a step that flew the campaign: red without any option, as the larger magnitude
+    misleads both estimators."""
+    folder = tmp_path_factory.mktemp("first")
+    done = fly(folder, campaign=str(CAMPAIGN))
     assert done.returncode == 1, done.stderr
-    assert "| ekf | gyro | 0.001 rad/s unaffected | 2 rad/s " in (tmp_path / "summary").read_text()
+    return folder
+
+
+def test_a_campaign_leaves_its_table_in_the_step_summary(first: Path) -> None:
+    assert "| ekf | gyro | 0.001 rad/s unaffected | 2 rad/s " in (first / "summary").read_text()
     for name in ("campaign.html", "junit.xml", "cells.csv"):
-        assert (tmp_path / "out" / name).is_file()
+        assert (first / "out" / name).is_file()
 
 
-def test_against_a_baseline_only_what_got_worse_fails_the_step(tmp_path: Path) -> None:
-    first, baseline = tmp_path / "first", tmp_path / "baseline"
-    for folder in (first, baseline):
-        folder.mkdir()
-    fly(first, campaign=str(CAMPAIGN))
+def test_against_a_baseline_only_what_got_worse_fails_the_step(first: Path, tmp_path: Path) -> None:
+    (baseline := tmp_path / "baseline").mkdir()
     shutil.copy(first / "out" / "baseline.json", baseline)
     assert (baseline / "baseline.json").stat().st_size < 1000  # of four cells
     (again := tmp_path / "again").mkdir()

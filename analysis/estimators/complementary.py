@@ -18,7 +18,8 @@ import numpy as np
 
 from analysis.estimators.estimator import (
     MAX_GAP_S,
-    AttitudeEstimate,
+    KernelEstimator,
+    KernelState,
     Prior,
     airspeed_mps,
     empty_estimates,
@@ -30,12 +31,10 @@ from analysis.samples.block import (
     IMU_ID,
     MAG,
     RATES,
-    Block,
     Indices,
     Stamps,
-    block_of,
 )
-from analysis.samples.sample import Sample, Vector
+from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation_kernel import (
@@ -55,16 +54,6 @@ class Gains(NamedTuple):
     tilt: float = 0.5
     heading: float = 0.5
     bias: float = 0.02
-
-
-class FilterState(NamedTuple):
-    """q_nb (4,) and gyro bias (3,) in rad/s in one array; airspeed, declination, stamps."""
-
-    t_us: int
-    x: Vector
-    airspeed_mps: float
-    declination_rad: float
-    mag_t_us: int
 
 
 @compiled
@@ -98,21 +87,14 @@ def correct_heading(
 
 @compiled
 def filter_block(
-    kind: Indices,
-    t_us: Stamps,
-    values: Vector,
-    x: Vector,
-    stamps: Stamps,
-    speed_mps: float,
-    declination_rad: float,
-    gains: Gains,
-) -> tuple[Stamps, Vector, Vector, Stamps, float]:
-    """Run the filter over a block (see `analysis.samples.block`).
+    kind: Indices, t_us: Stamps, values: Vector, state: KernelState, gains: Gains
+) -> tuple[Stamps, Vector, KernelState]:
+    """Run the filter over a block (see `analysis.samples.block`); x (7,) is q_nb and gyro bias.
 
-    `stamps` (2,) are those of the state and of the newest field sample. Returns stamps (m,) and
-    q_nb (m, 4) after each IMU sample, then the state.
+    Returns stamps (m,) and q_nb (m, 4) after each IMU sample, then the state.
     """
     when, q_nb = empty_estimates(kind)
+    x, stamps, speed_mps, declination_rad = state
     stamps = stamps.copy()
     done = 0
     for i in range(len(kind)):
@@ -136,41 +118,20 @@ def filter_block(
             stamps[FIELD] = t_us[i]
         elif kind[i] == AIRSPEED:
             speed_mps = airspeed_mps(values[i, 0])
-    return when, q_nb, x, stamps, speed_mps
+    return when, q_nb, KernelState(x, stamps, speed_mps, declination_rad)
 
 
-@dataclass(frozen=True, slots=True)
-class Mahony:
+@dataclass(frozen=True)
+class Mahony(KernelEstimator):
     """The explicit complementary filter with its gains."""
 
-    gains: Gains = field(default=Gains())
+    tuning: Gains = field(default=Gains())
+    filter_block = staticmethod(filter_block)
 
-    def start(self, prior: Prior) -> FilterState:
+    def start(self, prior: Prior) -> KernelState:
         """The prior's attitude, no bias."""
         x = np.concatenate([prior.q_nb, np.zeros(3)])
-        return FilterState(prior.t_us, x, 0.0, prior.declination_rad, prior.t_us)
-
-    def update(self, reading: Sample, state: FilterState) -> tuple[AttitudeEstimate, FilterState]:
-        """The IMU propagates, the field corrects the heading, airspeed gives the centripetal
-        part."""
-        _, _, state = self.update_block(block_of(reading), state)
-        return AttitudeEstimate(state.t_us, state.x[:BIAS]), state
-
-    def update_block(self, block: Block, state: FilterState) -> tuple[Stamps, Vector, FilterState]:
-        """Update with a block: stamps (m,) and q_nb (m, 4) after each IMU sample, next state."""
-        t_us, q_nb, x, stamps, airspeed_mps = filter_block(
-            block.kind,
-            block.t_us,
-            block.values,
-            state.x,
-            np.array([state.t_us, state.mag_t_us]),
-            state.airspeed_mps,
-            state.declination_rad,
-            self.gains,
-        )
-        now_us, mag_t_us = stamps.tolist()
-        after = FilterState(now_us, x, airspeed_mps, state.declination_rad, mag_t_us)
-        return t_us, q_nb, after
+        return KernelState(x, np.array([prior.t_us] * 2), 0.0, prior.declination_rad)
 
 
 def complementary() -> Mahony:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators.estimator import MAX_GAP_S, airspeed_mps, empty_estimates
+from analysis.estimators.estimator import MAX_GAP_S, KernelState, airspeed_mps, empty_estimates
 from analysis.samples.block import (
     AIRSPEED,
     FIX,
@@ -290,29 +290,15 @@ def correct_from_fix(
 
 @compiled
 def filter_block(
-    kind: Indices,
-    t_us: Stamps,
-    values: Vector,
-    x: Vector,
-    stamps: Stamps,
-    speed_mps: float,
-    declination_rad: float,
-    tuning: Tuning,
-) -> tuple[Stamps, Vector, Vector, Stamps, float]:
+    kind: Indices, t_us: Stamps, values: Vector, state: KernelState, tuning: Tuning
+) -> tuple[Stamps, Vector, KernelState]:
     """Run the filter over a block (see `analysis.samples.block`).
 
-    Parameters
-    ----------
-    kind, t_us, values : (n,), (n,), (n, WIDTH)
-    x, stamps, speed_mps : (91,), (3,)
-        The state before.
-
-    Returns
-    -------
-    Stamps (m,) and q_nb (m, 4) after each IMU sample, and the state after.
+    Returns stamps (m,) and q_nb (m, 4) after each IMU sample, then the state.
     """
     when, q_nb = empty_estimates(kind)
-    x, stamps, work = x.copy(), stamps.copy(), new_workspace()
+    before, stamps, speed_mps, declination_rad = state
+    x, stamps, work = before.copy(), stamps.copy(), new_workspace()
     done = 0
     for i in range(len(kind)):
         if kind[i] == IMU:
@@ -327,4 +313,4 @@ def filter_block(
             correct_from_fix(x, stamps, t_us[i], values[i], tuning, work)
         elif kind[i] == AIRSPEED:
             speed_mps = airspeed_mps(values[i, 0])
-    return when, q_nb, x, stamps, speed_mps
+    return when, q_nb, KernelState(x, stamps, speed_mps, declination_rad)

@@ -5,13 +5,14 @@ of `analysis.samples.sample`; an estimator ignores those it does not use. Attitu
 quaternions (w, x, y, z) that take body axes (forward, right, down) to north, east, down.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import sqrt
-from typing import Any, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from analysis.samples.block import ATTITUDE, IMU, TRUTH, Block, Indices, Stamps
+from analysis.samples.block import ATTITUDE, IMU, TRUTH, Block, Indices, Stamps, block_of
 from analysis.samples.sample import Sample, Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
@@ -71,6 +72,32 @@ def estimate_block(estimator: Estimator, block: Block, state: Any) -> tuple[Stam
                 stamps.append(estimate.t_us)
                 attitudes.append(estimate.q_nb)
     return np.array(stamps, np.int64), np.array(attitudes, dtype=float).reshape(-1, 4), state
+
+
+class KernelState(NamedTuple):
+    """State of a compiled estimator: x begins with q_nb (4,), `stamps` with the time of the state,
+    then come airspeed and magnetic declination."""
+
+    x: Vector
+    stamps: Stamps
+    airspeed_mps: float
+    declination_rad: float
+
+
+class KernelEstimator:
+    """A compiled estimator: `filter_block` runs over a block's columns with a `tuning`."""
+
+    filter_block: ClassVar[Callable[..., tuple[Stamps, Vector, KernelState]]]
+    tuning: Any
+
+    def update(self, reading: Sample, state: KernelState) -> tuple[AttitudeEstimate, KernelState]:
+        """The attitude after one reading, and the next state."""
+        _, _, state = self.update_block(block_of(reading), state)
+        return AttitudeEstimate(int(state.stamps[0]), state.x[:4]), state
+
+    def update_block(self, block: Block, state: KernelState) -> tuple[Stamps, Vector, KernelState]:
+        """Update with a block: stamps (m,) and q_nb (m, 4) after each IMU sample, next state."""
+        return self.filter_block(block.kind, block.t_us, block.values, state, self.tuning)
 
 
 @compiled

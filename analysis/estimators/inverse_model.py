@@ -17,13 +17,18 @@ References
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from analysis.estimators.estimator import MAX_GAP_S, AttitudeEstimate, Prior, empty_estimates
-from analysis.samples.block import IMU, IMU_ID, Block, Indices, Stamps, block_of
-from analysis.samples.sample import Sample, Vector
+from analysis.estimators.estimator import (
+    MAX_GAP_S,
+    KernelEstimator,
+    KernelState,
+    Prior,
+    empty_estimates,
+)
+from analysis.samples.block import IMU, IMU_ID, Indices, Stamps
+from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.polynomial import sin_cos
@@ -35,7 +40,8 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
 
 Nine = tuple[float, float, float, float, float, float, float, float, float]
 Three = tuple[float, float, float]
-VELOCITY, POSITION = 3, 6  # offsets in x, after the angles
+VELOCITY, POSITION = 3, 6  # offsets in the nine states, after the angles
+NINE, BEFORE = 4, 13  # offsets in x (19,), after q_nb: the nine states, the last IMU sample
 MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at a pitch of 90 degrees
 
 
@@ -99,67 +105,49 @@ def imu_sample(v: Vector) -> tuple[Three, Three]:
 
 @compiled
 def integrate_block(
-    kind: Indices, t_us: Stamps, values: Vector, x: Vector, now_us: int, before: Vector
-) -> tuple[Stamps, Vector, Vector, int, Vector]:
+    kind: Indices, t_us: Stamps, values: Vector, state: KernelState, _: None
+) -> tuple[Stamps, Vector, KernelState]:
     """Integrate over a block (see `analysis.samples.block`).
 
-    `before` (6,) is the IMU sample at `now_us`, NaN where it is unknown. Returns stamps (m,) and
-    q_nb (m, 4) after each IMU sample, then the state.
+    The IMU sample before the block is NaN where it is unknown. Returns stamps (m,) and q_nb (m, 4)
+    after each IMU sample, then the state.
     """
     when, q_nb = empty_estimates(kind)
+    x, stamps = state.x.copy(), state.stamps.copy()
     done = 0
     for i in range(len(kind)):
         if kind[i] != IMU:
             continue
         v = values[i, :IMU_ID]
         # The first sample also serves as the previous one: a single Euler step.
-        if np.isnan(before[0]):
-            before = v
-        dt_s = (t_us[i] - now_us) * 1e-6
+        before = v if np.isnan(x[BEFORE]) else x[BEFORE:]
+        dt_s = (t_us[i] - stamps[0]) * 1e-6
         if 0.0 < dt_s <= MAX_GAP_S:
-            start = (x[0], x[1], x[2], x[3], x[4], x[5], x[6], x[7], x[8])
-            x = np.array(heun_step(start, imu_sample(before), imu_sample(v), dt_s))
-        before, now_us = v, max(t_us[i], now_us)
-        q = quaternion_of_euler(x[0], x[1], x[2])
-        when[done] = now_us
-        for k in range(4):
-            q_nb[done, k] = q[k]
+            start = (x[4], x[5], x[6], x[7], x[8], x[9], x[10], x[11], x[12])
+            after = heun_step(start, imu_sample(before), imu_sample(v), dt_s)
+            x[NINE:BEFORE] = np.array(after)
+        x[BEFORE:], stamps[0] = v, max(t_us[i], stamps[0])
+        x[:NINE] = quaternion_of_euler(x[NINE], x[NINE + 1], x[NINE + 2])
+        when[done] = stamps[0]
+        for k in range(NINE):
+            q_nb[done, k] = x[k]
         done += 1
-    return when, q_nb, x, now_us, before.copy()
+    return when, q_nb, KernelState(x, stamps, state.airspeed_mps, state.declination_rad)
 
 
-class HeunState(NamedTuple):
-    """x (9,) as above and the previous IMU sample (6,), NaN without one."""
-
-    t_us: int
-    x: Vector
-    before: Vector
-
-
-@dataclass(frozen=True, slots=True)
-class InverseModel:
+@dataclass(frozen=True)
+class InverseModel(KernelEstimator):
     """Dead reckoning from the prior, without parameters."""
 
-    def start(self, prior: Prior) -> HeunState:
+    tuning: None = None
+    filter_block = staticmethod(integrate_block)
+
+    def start(self, prior: Prior) -> KernelState:
         """The prior as Euler angles, body velocity and position."""
-        start = np.concatenate(
-            [
-                euler_of_quaternion(prior.q_nb),
-                rotation_matrix(prior.q_nb).T @ prior.v_ned_mps,
-                prior.r_ned_m,
-            ]
+        nine = (
+            euler_of_quaternion(prior.q_nb),
+            rotation_matrix(prior.q_nb).T @ prior.v_ned_mps,
+            prior.r_ned_m,
         )
-        return HeunState(prior.t_us, start, np.full(6, np.nan))
-
-    def update(self, reading: Sample, state: HeunState) -> tuple[AttitudeEstimate, HeunState]:
-        """Integrate from the previous sample to this one."""
-        _, _, state = self.update_block(block_of(reading), state)
-        q_nb = quaternion_of_euler(state.x[0], state.x[1], state.x[2])
-        return AttitudeEstimate(state.t_us, q_nb), state
-
-    def update_block(self, block: Block, state: HeunState) -> tuple[Stamps, Vector, HeunState]:
-        """Update with a block: stamps (m,) and q_nb (m, 4) after each IMU sample, next state."""
-        t_us, q_nb, x, now_us, before = integrate_block(
-            block.kind, block.t_us, block.values, state.x, state.t_us, state.before
-        )
-        return t_us, q_nb, HeunState(now_us, x, before)
+        x = np.concatenate([prior.q_nb, *nine, np.full(6, np.nan)])
+        return KernelState(x, np.array([prior.t_us]), 0.0, 0.0)

@@ -2,9 +2,7 @@
 
 from typing import ClassVar
 
-import numpy as np
-
-from simvehicle.sensors.error_model import NoiseModel, NoiseState
+from simvehicle.sensors.error_model import NoiseModel
 from simvehicle.sensors.readings import BatteryReading
 from simvehicle.sensors.sensor import Rate, SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -19,16 +17,13 @@ class BatteryMonitor(SensorParameters, frozen=True, kw_only=True):
     voltage: NoiseModel = NoiseModel()
     current: NoiseModel = NoiseModel()
 
-    def sample(
-        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
-    ) -> tuple[BatteryReading, list[NoiseState]]:
+    def measure(self, truth: Truth, *errors: list[float]) -> BatteryReading:
         """One reading."""
-        (voltage, current), state = self.next_errors(state, rng)
-        reading = BatteryReading(
+        voltage, current = errors
+        return BatteryReading(
             truth.t_us,
             (1.0 + self.voltage.scale) * truth.battery_v + voltage[0],
             (1.0 + self.current.scale) * truth.battery_a + current[0],
             # Exact: the gauge uses the model's charge, not this sensor's current.
             truth.battery_remaining,
         )
-        return reading, state

@@ -1,7 +1,7 @@
 """Sensors whose samples are computed by compiled code, since every step of a flight has some.
 
 A kind has its parameters and its `measure_*` function in one file, and a branch in `measure`. It
-writes at most six numbers to `values` of its record. All other sensors fulfil `Sensor`.
+writes at most six numbers to `values` of its record. All other sensors have a `sample` in Python.
 """
 
 from typing import Any, ClassVar

@@ -7,37 +7,25 @@ flow equal to the gyro's.
 
 from typing import ClassVar
 
-import numpy as np
-
 from mavproxy_fault.numerics.rotations.one_rotation import rotate_to_body
-from simvehicle.sensors.error_model import NoiseModel, NoiseState
-from simvehicle.sensors.rangefinder import check_range_limits, slant_range
+from simvehicle.sensors.error_model import NoiseModel
+from simvehicle.sensors.rangefinder import RangeSensor, slant_range
 from simvehicle.sensors.readings import FlowReading
-from simvehicle.sensors.sensor import Rate, SensorParameters
 from simvehicle.vehicles.body import Truth
 
 
-class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
+class OpticalFlow(RangeSensor, frozen=True, kw_only=True):
     """Measures angular image motion, integrated over one sample period [rad]."""
 
     channels: ClassVar = {"flow": 2, "gyro": 3}
 
-    rate_hz: Rate = 20.0
     flow: NoiseModel = NoiseModel()
     gyro: NoiseModel = NoiseModel()
-    min_m: float = 0.1
-    max_m: float = 40.0
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        check_range_limits(self.min_m, self.max_m)
-
-    def sample(
-        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
-    ) -> tuple[FlowReading, list[NoiseState]]:
+    def measure(self, truth: Truth, *errors: list[float]) -> FlowReading:
         """One reading; quality is 0 if the ground is out of range."""
         # The flow board has its own gyro, with errors independent of the IMU's.
-        ((flow_x, flow_y), (gyro_x, gyro_y, gyro_z)), state = self.next_errors(state, rng)
+        (flow_x, flow_y), (gyro_x, gyro_y, gyro_z) = errors
         dt = 1.0 / self.rate_hz
         distance = slant_range(truth)
         p, q, r = truth.omega_b_rps.tolist()
@@ -52,4 +40,4 @@ class OpticalFlow(SensorParameters, frozen=True, kw_only=True):
             # rolling left.
             x, y = gain * (p - vy / distance), gain * (q + vx / distance)
             flow, shown, quality = ((x + flow_x) * dt, (y + flow_y) * dt), distance, 255
-        return FlowReading(truth.t_us, dt, flow, gyro, shown, quality), state
+        return FlowReading(truth.t_us, dt, flow, gyro, shown, quality)

@@ -7,10 +7,9 @@ import math
 from typing import ClassVar
 
 import msgspec
-import numpy as np
 
 from mavproxy_fault.numerics.earth import curvature_radii
-from simvehicle.sensors.error_model import NoiseModel, NoiseState
+from simvehicle.sensors.error_model import NoiseModel
 from simvehicle.sensors.readings import GpsReading
 from simvehicle.sensors.sensor import Rate, SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -48,18 +47,16 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
         error: NoiseModel | GpsError = getattr(self, name)
         return error.noise(self.rate_hz) if isinstance(error, GpsError) else error
 
-    def sample(
-        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
-    ) -> tuple[GpsReading, list[NoiseState]]:
+    def measure(self, truth: Truth, *errors: list[float]) -> GpsReading:
         """One solution."""
-        ((north, east), (up,), speed), state = self.next_errors(state, rng)
+        (north, east), (up,), speed = errors
         # Convert metres of error to radians on the ellipsoid, at the vehicle's height.
         meridian, prime = curvature_radii(truth.lat_rad)
         vn, ve, vd = truth.v_ned_mps.tolist()
         gain = 1.0 + self.velocity.scale
         lat = truth.lat_rad + north / (float(meridian) + truth.height_m)
         lon = truth.lon_rad + east / ((float(prime) + truth.height_m) * math.cos(truth.lat_rad))
-        reading = GpsReading(
+        return GpsReading(
             truth.t_us,
             math.degrees(lat),
             math.degrees(lon),
@@ -71,4 +68,3 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
             self.epv_m,
             self.id,
         )
-        return reading, state

@@ -2,9 +2,7 @@
 
 from typing import ClassVar
 
-import numpy as np
-
-from simvehicle.sensors.error_model import NoiseModel, NoiseState
+from simvehicle.sensors.error_model import NoiseModel
 from simvehicle.sensors.readings import RangeReading
 from simvehicle.sensors.sensor import Rate, SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -18,32 +16,31 @@ def slant_range(truth: Truth) -> float:
     return max(truth.height_agl_m, 0.0) / down if down > 0.01 else float("inf")
 
 
-def check_range_limits(min_m: float, max_m: float) -> None:
-    """Refuse an empty measuring range."""
-    if not 0.0 <= min_m < max_m:
-        raise ValueError(f"min_m = {min_m}, max_m = {max_m} is not a range; use 0 <= min_m < max_m")
-
-
-class Rangefinder(SensorParameters, frozen=True, kw_only=True):
-    """Measures the slant range [m], clamped to its limits."""
-
-    channels: ClassVar = {"noise": 1}
+class RangeSensor(SensorParameters, frozen=True, kw_only=True):
+    """A sensor that measures distances of the ground within limits [m]."""
 
     rate_hz: Rate = 20.0
-    noise: NoiseModel = NoiseModel()
     min_m: float = 0.1
     max_m: float = 40.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_range_limits(self.min_m, self.max_m)
+        if not 0.0 <= self.min_m < self.max_m:
+            raise ValueError(
+                f"min_m = {self.min_m}, max_m = {self.max_m} is not a range; use 0 <= min_m < max_m"
+            )
 
-    def sample(
-        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
-    ) -> tuple[RangeReading, list[NoiseState]]:
+
+class Rangefinder(RangeSensor, frozen=True, kw_only=True):
+    """Measures the slant range [m], clamped to its limits."""
+
+    channels: ClassVar = {"noise": 1}
+
+    noise: NoiseModel = NoiseModel()
+
+    def measure(self, truth: Truth, *errors: list[float]) -> RangeReading:
         """One reading."""
-        (error,), state = self.next_errors(state, rng)
-        distance = (1.0 + self.noise.scale) * slant_range(truth) + error[0]
+        distance = (1.0 + self.noise.scale) * slant_range(truth) + errors[0][0]
         # Clamped, as drivers do; estimators compare with the limits in the message.
         distance = min(self.max_m, max(self.min_m, distance))
-        return RangeReading(truth.t_us, distance, self.min_m, self.max_m, self.id), state
+        return RangeReading(truth.t_us, distance, self.min_m, self.max_m, self.id)

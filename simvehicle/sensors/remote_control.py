@@ -1,8 +1,5 @@
 """Receiver of a remote control whose pilot leaves the sticks alone."""
 
-import numpy as np
-
-from simvehicle.sensors.error_model import NoiseState
 from simvehicle.sensors.readings import RemoteControlReading
 from simvehicle.sensors.sensor import Rate, SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -15,8 +12,6 @@ class RemoteControl(SensorParameters, frozen=True, kw_only=True):
 
     rate_hz: Rate = 10.0  # PX4 reports a loss after 0.5 s, ArduPilot after 1 s
 
-    def sample(
-        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
-    ) -> tuple[RemoteControlReading, list[NoiseState]]:
+    def measure(self, truth: Truth, *errors: list[float]) -> RemoteControlReading:
         """One reading."""
-        return RemoteControlReading(truth.t_us, CENTRED_US), state
+        return RemoteControlReading(truth.t_us, CENTRED_US)

@@ -1,7 +1,7 @@
-"""The interface and the common parameters of all sensors."""
+"""The interface and the common parameters of sensors; their state is passed in and returned."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -13,26 +13,6 @@ from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.body import Truth
 
 Rate = Annotated[float, Meta(gt=0, le=2000)]
-
-
-class Sensor(Protocol):
-    """A sensor's frozen parameters; its state is passed in and returned."""
-
-    @property
-    def rate_hz(self) -> float:
-        """Samples per second."""
-
-    @property
-    def latency_s(self) -> float:
-        """Delay from measurement to delivery."""
-
-    def new_state(self, rng: np.random.Generator) -> Any:
-        """State at power-on."""
-
-    def sample(
-        self, truth: Truth, state: Any, rng: np.random.Generator
-    ) -> tuple[Reading | list[Reading], Any]:
-        """Sample the truth: one reading, or several, and the new state."""
 
 
 class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -68,12 +48,16 @@ class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
             for name, count in self.channels.items()
         ]
 
-    def next_errors(
-        self, state: list[NoiseState], rng: np.random.Generator
-    ) -> tuple[list[list[float]], list[NoiseState]]:
-        """The errors of the next sample, a list for each noise model, and the next state."""
+    def sample(
+        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
+    ) -> tuple[Reading, list[NoiseState]]:
+        """Draw the errors of the next sample and measure with them."""
         drawn = [
             self.noise_model(name).next(noise, rng, self.rate_hz)
             for name, noise in zip(self.channels, state, strict=True)
         ]
-        return [errors for errors, _ in drawn], [noise for _, noise in drawn]
+        return self.measure(truth, *(errors for errors, _ in drawn)), [noise for _, noise in drawn]
+
+    def measure(self, truth: Truth, *errors: list[float]) -> Any:
+        """The reading of the truth, with the errors of each noise model; a kind defines it."""
+        raise NotImplementedError

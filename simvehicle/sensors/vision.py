@@ -2,11 +2,9 @@
 
 from typing import ClassVar, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.rotations.one_rotation import rotate_quaternion
-from simvehicle.sensors.error_model import NoiseModel, NoiseState
+from simvehicle.sensors.error_model import NoiseModel
 from simvehicle.sensors.readings import Triple, VisionReading
 from simvehicle.sensors.sensor import Rate, SensorParameters
 from simvehicle.vehicles.body import Truth
@@ -27,13 +25,11 @@ class Vision(SensorParameters, frozen=True, kw_only=True):
     attitude: NoiseModel = NoiseModel()
     message: Literal["ODOMETRY", "VISION_POSITION_ESTIMATE"] = "ODOMETRY"
 
-    def sample(
-        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
-    ) -> tuple[VisionReading, list[NoiseState]]:
+    def measure(self, truth: Truth, *errors: list[float]) -> VisionReading:
         """One reading."""
         # The attitude error is a small rotation in body axes, without scale.
-        (place, speed, tilt), state = self.next_errors(state, rng)
-        reading = VisionReading(
+        place, speed, tilt = errors
+        return VisionReading(
             truth.t_us,
             _apply_errors(truth.r_ned_m, self.position.scale, place),
             _apply_errors(truth.v_ned_mps, self.velocity.scale, speed),
@@ -43,10 +39,9 @@ class Vision(SensorParameters, frozen=True, kw_only=True):
             max(self.velocity.sigma, 0.01),
             self.message == "ODOMETRY",
         )
-        return reading, state
 
 
-def _apply_errors(true: NDArray[np.float64], scale: float, error: list[float]) -> Triple:
+def _apply_errors(true: Array, scale: float, error: list[float]) -> Triple:
     x, y, z = true.tolist()
     gain = 1.0 + scale
     return gain * x + error[0], gain * y + error[1], gain * z + error[2]

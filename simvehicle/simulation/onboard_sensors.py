@@ -16,7 +16,6 @@ from simvehicle.sensors.compiled_sensor import CompiledSensor
 from simvehicle.sensors.error_model import BLOCK
 from simvehicle.sensors.flight_record import SENSOR, Records
 from simvehicle.sensors.readings import Reading
-from simvehicle.sensors.sensor import Sensor
 from simvehicle.vehicles.body import Truth
 
 
@@ -35,11 +34,10 @@ class OnboardSensor:
 
     def sample(self, truth: Truth) -> list[Reading]:
         """Sample the truth; returns the readings."""
-        sensor: Sensor = self.sensor
         self._count += 1
         # From the count: a period that is no integer number of microseconds must not drift.
-        self.due_us = self._count * 1e6 / sensor.rate_hz
-        readings, self.state = sensor.sample(truth, self.state, self.rng)
+        self.due_us = self._count * 1e6 / self.sensor.rate_hz
+        readings, self.state = self.sensor.sample(truth, self.state, self.rng)
         return readings if isinstance(readings, list) else [readings]
 
 

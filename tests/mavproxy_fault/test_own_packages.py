@@ -20,12 +20,12 @@ def put_file(folder: Path, form: str, name: str) -> None:
     file.write_text(TEXT)
 
 
-@pytest.mark.parametrize("form", ["file", "package", "namespace"])
+@pytest.mark.parametrize("forms", [("file", "package"), ("namespace", "file")], ids="-".join)
 @pytest.mark.parametrize("command", [MODULE, SCRIPT], ids=["module", "script"])
 def test_files_with_the_names_of_our_packages_break_nothing(
-    tmp_path: Path, form: str, command: list[str]
+    tmp_path: Path, forms: tuple[str, str], command: list[str]
 ) -> None:
-    for name in ("analysis", "simvehicle"):
+    for form, name in zip(forms, ("analysis", "simvehicle"), strict=True):
         put_file(tmp_path, form, name)
     (tmp_path / "small.yaml").write_text("{duration_s: 2, start: {height_m: 50}}")
     # It reads a scenario and needs both packages, but does not fly.

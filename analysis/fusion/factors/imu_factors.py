@@ -18,7 +18,6 @@ import numpy as np
 from analysis.detection.filter.process_noise import ProcessNoise
 from analysis.fusion.local_frame import LocalFrame
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.compile import compiled
 
 INTEGRATION_SIGMA_M = 1e-3  # m/sqrt(s), noise of the integration; small against range sigmas
 MAX_STEP_S = 0.1  # faster samples are condensed to it; the neglected terms are of third order
@@ -42,7 +41,6 @@ def preintegrate_imu(samples: Vector, bias: Any, params: Any) -> Any:
     return preintegrated
 
 
-@compiled
 def condense_samples(samples: Vector, step_s: float) -> Vector:
     """Combine samples (k, 7) into groups of equal number up to `step_s` long; drop empty steps.
 
@@ -50,46 +48,23 @@ def condense_samples(samples: Vector, step_s: float) -> Vector:
     GTSAM takes both as constant. Rotation within a group is added to second order (coning,
     sculling).
     """
-    count, total_s = 0, 0.0
-    for k in range(samples.shape[0]):
-        if samples[k, 0] > 0.0:
-            count, total_s = count + 1, total_s + samples[k, 0]
+    samples = samples[samples[:, 0] > 0.0]
+    count, total_s = len(samples), samples[:, 0].sum()
     # The 0.1 keeps rounding from making every group one sample too short.
     size = max(int(step_s * count / total_s + 0.1), 1) if count else 1
-    out = np.zeros(((count + size - 1) // size, 7))
-    rotvec, half, force = np.zeros(3), np.zeros(3), np.zeros(3)
-    once, twice, bent = np.zeros(3), np.zeros(3), np.zeros(3)
-    at = 0
-    for k in range(samples.shape[0]):
-        dt = samples[k, 0]
-        if not dt > 0.0:
-            continue
-        row = out[at // size]
-        if at % size == 0:
-            rotvec[:] = 0.0
-        for i in range(3):
-            half[i] = rotvec[i] + 0.5 * dt * samples[k, 1 + i]
-            force[i] = samples[k, 4 + i]
-        _cross(half, force, once)
-        _cross(half, once, twice)
-        _cross(rotvec, samples[k, 1:4], bent)
-        row[0] += dt
-        for i in range(3):
-            row[4 + i] += dt * (force[i] + once[i] + 0.5 * twice[i])
-            rotvec[i] += dt * (samples[k, 1 + i] + 0.5 * bent[i])
-            row[1 + i] = rotvec[i]
-        at += 1
-    for k in range(out.shape[0]):
-        for i in range(1, 7):
-            out[k, i] /= out[k, 0]
-    return out
-
-
-@compiled
-def _cross(a: Vector, b: Vector, out: Vector) -> None:
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
+    # The last group is filled with empty steps; all groups are integrated together.
+    filled = np.zeros((-(-count // size), size, 7))
+    filled.reshape(-1, 7)[:count] = samples
+    dt, force = filled[..., :1], filled[..., 4:]
+    turns = dt * filled[..., 1:4]
+    before = turns.cumsum(axis=1) - turns  # the rotation since the group's start, to first order
+    bent = 0.5 * np.cross(before, turns)
+    before += bent.cumsum(axis=1) - bent
+    rotvec = (turns + 0.5 * np.cross(before, turns)).sum(axis=1)
+    turned = np.cross(before + 0.5 * turns, force)
+    twice = np.cross(before + 0.5 * turns, turned)
+    velocity = (dt * (force + turned + 0.5 * twice)).sum(axis=1)
+    return np.hstack([(whole := dt.sum(axis=1)), rotvec / whole, velocity / whole])
 
 
 def motion_model(

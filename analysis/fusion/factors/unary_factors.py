@@ -5,8 +5,7 @@ to those at the graph's start); per span of the window h the barometer's offset 
 `OFFSET_UNIT_M`), w the wind.
 
 GTSAM's factors take a clock in seconds and an offset in metres, which makes the system badly
-conditioned. Such factors, which are almost linear, are therefore linearised here and enter the
-graph as linear ones with scaled columns.
+conditioned. Such factors, which are almost linear, are linear ones with scaled columns here.
 """
 
 from functools import lru_cache
@@ -21,12 +20,10 @@ from analysis.fusion.window import variable_key
 from analysis.samples.sample import Vector
 
 MAX_EPOCHS = 1024  # in a window: at 5 Hz and a lag of 5 s, 50 are in use
-PLACEHOLDER = gtsam.symbol("a", 0)  # stands for a variable that is a vector in the graph
 # GTSAM's Cholesky treats a last pivot 2^12 times smaller than the previous one as zero, as that of
 # an offset in metres would be next to the gyro biases.
 OFFSET_UNIT_M = 1000.0
 NO_CLOCK, NO_OFFSET, NO_MAG_BIAS = np.zeros(2), np.zeros(1), np.zeros(3)
-STANDARD_AIR = gtsam.BarometricFactor()
 
 
 @lru_cache(maxsize=MAX_EPOCHS)
@@ -70,26 +67,15 @@ def _linear_at_zero(row: Any, zero: Vector, *keys: int) -> Any:
     return gtsam.LinearContainerFactor(row, origin)
 
 
-@lru_cache(maxsize=1)
-def _placeholder_values() -> Any:
-    """`PLACEHOLDER` at zero; read-only. Cached: the bindings take 70 us to insert a number."""
-    values = gtsam.Values()
-    values.insert(PLACEHOLDER, 0.0)
-    return values
-
-
 def baro_factor(epoch: int, pose: Any, offset: int, altitude_m: float, sigma_m: float) -> Any:
-    """A pressure altitude with the offset of a key, linearised at a pose; GTSAM expects the
-    pressure of its own standard atmosphere."""
-    pressure = STANDARD_AIR.baroOut(altitude_m)
-    x = variable_key("x", epoch)
-    factor = gtsam.BarometricFactor(x, PLACEHOLDER, pressure, isotropic_noise(1, sigma_m))
-    origin = gtsam.Values(_placeholder_values())
+    """A pressure altitude with the offset of a key: z + offset - altitude, linearised at a pose."""
+    x, origin = variable_key("x", epoch), gtsam.Values()
     origin.insert(x, pose)
     origin.insert(offset, NO_OFFSET)
-    jacobian, right_side = factor.linearize(origin).jacobian()  # by pose, then number
-    by_offset = jacobian[:, 6:] * OFFSET_UNIT_M
-    row = gtsam.JacobianFactor(x, jacobian[:, :6], offset, by_offset, right_side, unit_noise(1))
+    # A pose's translation errors are in body axes.
+    by_pose = np.hstack([np.zeros(3), pose.rotation().matrix()[2]])[None, :] / sigma_m
+    by_offset, right_side = np.array([[OFFSET_UNIT_M], [altitude_m - pose.z()]]) / sigma_m
+    row = gtsam.JacobianFactor(x, by_pose, offset, by_offset[None, :], right_side, unit_noise(1))
     return gtsam.LinearContainerFactor(row, origin)
 
 

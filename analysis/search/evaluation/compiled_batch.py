@@ -183,7 +183,7 @@ def tunings_of(name: str) -> Tunings:
     estimator = make_estimator(name)
     mahony = estimator if isinstance(estimator, Mahony) else Mahony()
     ekf = estimator if isinstance(estimator, Ekf) else Ekf()
-    return Tunings(mahony.gains, ekf.tuning)
+    return Tunings(mahony.tuning, ekf.tuning)
 
 
 def envelope_of(test: TestFile) -> Envelope:

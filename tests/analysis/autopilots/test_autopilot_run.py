@@ -21,6 +21,7 @@ import pytest
 
 from analysis.autopilots.autopilot_run import keep_telemetry, real_time_priority
 from analysis.recordings.flight_logs.ulog import read_ulog
+from mavproxy_fault import cli
 from mavproxy_fault.links.bus import choose_free_port, open_bus
 from mavproxy_fault.schedule.entries import parse_entry, parse_schedule
 from mavproxy_fault.wire.label import read_labels
@@ -119,33 +120,37 @@ def children(number):
     return [int(n) for n in Path(f"/proc/{number}/task/{number}/children").read_text().split()]
 
 
-def test_a_missing_binary_is_reported_with_the_cure(run):
-    process = run("--binary", "no-such-autopilot")
-    output, _ = process.communicate(timeout=60)
-    assert process.returncode == 2
-    assert "--binary: 'no-such-autopilot' is not a program; give ArduPilot's SITL binary" in output
-
-
-def test_an_unknown_flight_event_is_refused(run):
-    process = run("--binary", sys.executable, "--from", "breakfast")
-    output, _ = process.communicate(timeout=60)
-    assert process.returncode == 2
-    assert "--from breakfast: is not a flight event; known: first-stamp, arming" in output
-
-
-def test_a_start_in_the_air_is_refused(run):
-    scenario = SCENARIO.format(duration_s=12) + "start: {height_m: 30}\n"
-    process = run("--binary", sys.executable, scenario=scenario)
-    output, _ = process.communicate(timeout=60)
-    assert process.returncode == 2
-    assert "start.height_m = 30 starts in the air" in output
-
-
-def test_a_vehicle_that_is_not_the_scenarios_is_refused(run):
-    process = run("--binary", "true", autopilot="ardupilot:plane")
-    output, _ = process.communicate(timeout=60)
-    assert process.returncode == 2
-    assert "the scenario's vehicle is a multirotor; it needs arducopter" in output
+@pytest.mark.parametrize(
+    ("options", "more", "message"),
+    [
+        (
+            ("ardupilot", "--binary", "no-such-autopilot"),
+            "",
+            "--binary: 'no-such-autopilot' is not a program; give ArduPilot's SITL binary",
+        ),
+        (
+            ("ardupilot", "--binary", sys.executable, "--from", "breakfast"),
+            "",
+            "--from breakfast: is not a flight event; known: first-stamp, arming",
+        ),
+        (
+            ("ardupilot", "--binary", sys.executable),
+            "start: {height_m: 30}\n",
+            "start.height_m = 30 starts in the air",
+        ),
+        (
+            ("ardupilot:plane", "--binary", "true"),
+            "",
+            "the scenario's vehicle is a multirotor; it needs arducopter",
+        ),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_with_the_cure(tmp_path, capsys, options, more, message):
+    file = tmp_path / "hover.yaml"
+    file.write_text(SCENARIO.format(duration_s=12) + more)
+    command = ["run", str(file), "--zenoh", "off", "--out", str(tmp_path / "out")]
+    assert cli.main([*command, "--autopilot", *options]) == 2
+    assert message in capsys.readouterr().err
 
 
 def test_an_autopilot_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path, run):

@@ -164,7 +164,7 @@ def test_a_fault_hidden_by_gusts_is_found_by_the_regression(
 )
 def test_a_faulty_pitot_tube_is_no_weak_motor(fault: dict[str, Any]) -> None:
     fault = {"target": "HIL_SENSOR.diff_pressure", **fault}
-    assert not suspected(flown("fixed wing", 40.0, fault, NEVER))
+    assert not suspected(flown("fixed wing", 34.0, fault, NEVER))
 
 
 def test_a_wing_at_an_unusual_speed_has_no_strong_motor() -> None:
@@ -202,7 +202,7 @@ def test_a_weak_motor_of_an_unknown_quad_is_named_by_its_learned_effect(value: f
 
 @pytest.mark.parametrize("vehicle", ["hexa", "fixed wing"])
 def test_an_unknown_vehicle_whose_effects_are_not_observable_is_not_tested(vehicle: str) -> None:
-    results = flown(vehicle, 40.0, NEVER, unknown=True)
+    results = flown(vehicle, 30.0, NEVER, unknown=True)
     assert not [r for r in results if isinstance(r, SensorDecision) and r.sensor == "actuators"]
 
 
