@@ -26,8 +26,8 @@ from mavproxy_fault.wire.framing import range_crc
 
 SKIPPED, SIGNED = -1, -2  # places of entries that do not act on a frame, as it is signed
 
-_value_rule = choose(value_rules(), "x, i, t_s, p, at, m, place, u")
-_link_rule = choose(link_rules(), "t_us, size, p, at, m, place, u, v")
+_value_rule = choose(value_rules(), "x, i, t_s, p, m, u")
+_link_rule = choose(link_rules(), "t_us, size, p, m, u, v")
 
 
 @kernel
@@ -175,8 +175,8 @@ def _act_on_values(
     for row in range(first, step[k.TO]):
         i = row - first
         new = _value_rule(
-            entry[k.RULE], shared.values, i, t_s, shared.numbers, elements[row, k.NUMBERS_AT],
-            shared.memory, place + i * (entry[k.REMEMBERS] - 1), _draw(entry, shared),
+            entry[k.RULE], shared.values, i, t_s, shared.numbers[elements[row, k.NUMBERS_AT] :],
+            shared.memory[place + i * (entry[k.REMEMBERS] - 1) :], _draw(entry, shared),
         )  # fmt: skip
         # Kept until all are known, as a rule may look at its neighbours.
         shared.values[k.SLOT // 2 + i] = new * shared.factors[row, k.FACTOR]
@@ -210,13 +210,9 @@ def _act_on_frame(
     work, items, entry = shared.work, shared.items, shared.entries[step[k.ENTRY]]
     u = _draw(entry, shared)
     v = _draw(entry, shared) if entry[k.DRAW_COUNT] > 1 else 0.0
-    at = step[k.NUMBERS_FROM]
-    size = items[item, k.LENGTH_OF]
-    number = i64(
-        _link_rule(
-            entry[k.RULE], np.float64(t_us), size, shared.numbers, at, shared.memory, place, u, v
-        )
-    )
+    p, size = shared.numbers[step[k.NUMBERS_FROM] :], items[item, k.LENGTH_OF]
+    memory = shared.memory[place:]
+    number = i64(_link_rule(entry[k.RULE], np.float64(t_us), size, p, memory, u, v))
     if number == 0:
         return -1
     late_us = i64(0)
@@ -231,7 +227,7 @@ def _act_on_frame(
         work[place_of_seq] = (i64(work[place_of_seq]) + number) & 0xFF
         items[item, k.ALTERED] = k.CHANGED
     else:
-        late_us = i64(shared.numbers[at + 2])
+        late_us = i64(p[2])
         for n in range(number):
             for byte in range(items[item, k.LENGTH_OF]):
                 work[count * k.SLOT + byte] = work[item * k.SLOT + byte]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.object_file import load
-from mavproxy_fault.fault_parts.draft import instance_element
+from mavproxy_fault.fault_parts.elements import instance_element
 from mavproxy_fault.proxy.capture_buffer import INDEX, CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.interfaces import Send
@@ -42,12 +42,15 @@ class CompiledCore:
         self._forward = forward
         self._core = core
         self._tape = tape
-        arrays = k.new_arrays(len(core.links), descriptors, keep=tape is not None)
         signing = core.signing or Signing()
-        self._arrays = {**arrays, "senders": core.senders, "streams": signing.verifier.streams}
+        self.shared = k.new_shared(
+            len(core.links), descriptors, keep=tape is not None, senders=core.senders,
+            streams=signing.verifier.streams,
+        )  # fmt: skip
+        self._addresses = (c_void_p * len(self.shared))(*map(k.address, self.shared))
         key = signing.key or b""
-        arrays["message"][: len(key)] = key
-        self.loop, self.ports = arrays["loop"], arrays["ports"]
+        self.shared.message[: len(key)] = key
+        self.loop, self.ports = self.shared.loop, self.shared.ports
         self._learned: dict[int, Layout] = {}
         self._plans: Plans | None = None
         self.loop[k.KEEP], self.loop[k.WANTED_AT] = tape is not None, UNKNOWN
@@ -61,18 +64,6 @@ class CompiledCore:
         self._core_ran = True  # since the rows of faults were last compared with the entries
         self._sends: list[Send] = []  # announcements, to be sent before anything else
         self._seen: tuple[Any, ...] = ()
-        self._tie(None)
-
-    def _tie(self, plans: "Plans | None") -> None:
-        """Give the machine code the addresses of all arrays."""
-        if plans is not None:
-            self._arrays |= plans.arrays
-        self._addresses = (c_void_p * len(k.Shared._fields))(
-            *(
-                k.address(self._arrays[name]) if name in self._arrays else None
-                for name in k.Shared._fields
-            )
-        )
 
     # What may be carried out
 
@@ -91,7 +82,7 @@ class CompiledCore:
         at, size = (instance[0].start, instance[0].end - instance[0].start) if instance else (-1, 0)
         values = (described.crc_extra, *places, *target_offsets(described.name), at, size)
         for column, value in zip(range(k.EXTRA, k.CHAIN), values, strict=True):
-            self._arrays["table"][number, column] = value
+            self.shared.table[number, column] = value
 
     def _refresh(self) -> None:
         """Follow the engine and the control path."""
@@ -119,10 +110,10 @@ class CompiledCore:
         kind, first = self._way(number)
         control = self._core.control
         sampled = control is not None and number in control.wanted
-        self._arrays["table"][number, k.SAMPLED] = sampled
+        self.shared.table[number, k.SAMPLED] = sampled
         if self._plans is not None:
             self.loop[k.KEY_COUNT] = self._plans.key_count
-        self._arrays["table"][number, k.KIND], self._arrays["table"][number, k.CHAIN] = kind, first
+        self.shared.table[number, k.KIND], self.shared.table[number, k.CHAIN] = kind, first
 
     def _way(self, number: int) -> tuple[int, int]:
         """The kind of a message, and the first row of its faults."""
@@ -146,9 +137,7 @@ class CompiledCore:
         if self._plans is None:
             from mavproxy_fault.compiled.plans import Plans
 
-            plans = Plans()
-            self._tie(plans)
-            self._plans = plans
+            self._plans = plans = Plans(self.shared)
             engine: Any = self._core.engine
             engine.collect = lambda: plans.settle(engine)
         return self._plans
@@ -193,7 +182,7 @@ class CompiledCore:
     def _lend(self, link: int, data: bytes, now_us: int) -> None:
         """Pass a chunk in machine code, as far as that goes."""
         loop, start, length = self.loop, self._rows * k.BATCH * k.ROW, min(len(data), k.ROW)
-        self._arrays["data"][start : start + length] = data[:length]
+        self.shared.data[start : start + length] = data[:length]
         self._refresh()
         self._interrupted = [loop[place] for place in INTERRUPTED]
         loop[k.LENT], loop[k.LINK], loop[k.CAME] = length, link, now_us * 1000 - loop[k.BASE]
@@ -213,10 +202,10 @@ class CompiledCore:
     def _segments(self, rows: int, links: int, now_us: int) -> list[Send]:
         """What leaves of some rows for some links, a bit mask."""
         found, at = [], rows * k.BATCH * k.ROW
-        masks, parts = self._arrays["masks"], self._arrays["parts"]
+        masks, parts = self.shared.masks, self.shared.parts
         for segment in range(self.loop[k.SEGMENT]):
             length = parts[rows, segment, k.DATA_LENGTH]
-            data = bytes(self._arrays["outs"][at : at + length])
+            data = bytes(self.shared.outs[at : at + length])
             found += self._core.to_links(masks[rows, segment] & links, data, now_us)
             at += length
         return found
@@ -261,16 +250,15 @@ class CompiledCore:
         begun = self._plans is not None and not plain and self._plans.settle(engine)
         at = 0
         while at < loop[k.HELD_AT]:
-            due_us, mask, length = HELD.unpack_from(self._arrays["held"], at)
+            due_us, mask, length = HELD.unpack_from(self.shared.held, at)
             at += k.HELD_HEAD
-            core.hold(due_us, mask, bytes(self._arrays["held"][at : at + length]))
+            core.hold(due_us, mask, bytes(self.shared.held[at : at + length]))
             at += length
         loop[k.HELD_AT] = 0
         if self._tape is not None and loop[k.RECEIVED_AT]:
-            received, sent, index = (self._arrays[one] for one in ("received", "sent", "index"))
-            self._tape.received += received[: loop[k.RECEIVED_AT]]
-            self._tape.sent += sent[: loop[k.SENT_AT]]
-            self._tape.index += index[: loop[k.INDEX_AT]]
+            self._tape.received += self.shared.received[: loop[k.RECEIVED_AT]]
+            self._tape.sent += self.shared.sent[: loop[k.SENT_AT]]
+            self._tape.index += self.shared.index[: loop[k.INDEX_AT]]
             self.drop_tape()
         if begun:  # behind the frame that began it
             self._core_ran = True

@@ -1,4 +1,4 @@
-"""The compiled form's numbers: elements of a frame as numbers, and back, as `Draft.write` does."""
+"""Elements of a frame as numbers, and back, by address; as `fault_parts.elements` does."""
 
 from typing import Any
 

@@ -35,7 +35,7 @@ class Forwarder(CompiledCore):
         super().__init__(core, len(descriptors), tape)
         self._links = links
         self._latencies = latencies
-        self.polls = self._arrays["polls"]
+        self.polls = self.shared.polls
         self._read_parts = k.table("q", len(links) + 1, k.BATCH, 2)
         self._known_peers: list[list[Any]] = [[] for _ in links]
         for n, descriptor in enumerate(descriptors):
@@ -45,20 +45,19 @@ class Forwarder(CompiledCore):
 
     def _point(self) -> None:
         """Let the headers of both kinds of system call point to the rows of data."""
-        arrays, loop = self._arrays, self.loop
-        for place, name in (
-            (k.POLLS_AT, "polls"), (k.PEERS_AT, "peers"), (k.HEADS_AT, "heads"),
-            (k.HEADERS_AT, "headers"),
+        shared, loop = self.shared, self.loop
+        for place, array in (
+            (k.POLLS_AT, shared.polls), (k.PEERS_AT, shared.peers), (k.HEADS_AT, shared.heads),
+            (k.HEADERS_AT, shared.headers),
         ):  # fmt: skip
-            loop[place] = k.address(arrays[name])
-        rows, names = k.address(arrays["data"]), k.address(arrays["names"])
-        heads = arrays["heads"]
+            loop[place] = k.address(array)
+        rows, names, heads = k.address(shared.data), k.address(shared.names), shared.heads
         for number in range(len(self._links) + 1):
             for at in range(k.BATCH):
                 row = number * k.BATCH + at
                 for parts, headers in (
                     (self._read_parts, heads),
-                    (arrays["parts"], arrays["headers"]),
+                    (shared.parts, shared.headers),
                 ):
                     parts[number, at, k.DATA_AT] = rows + k.ROW * row
                     parts[number, at, k.DATA_LENGTH] = k.ROW
@@ -109,11 +108,11 @@ class Forwarder(CompiledCore):
             return False
         for at, send in enumerate(sends):
             start = (rows * k.BATCH + at) * k.ROW
-            self._arrays["data"][start : start + len(send.data)] = send.data
+            self.shared.data[start : start + len(send.data)] = send.data
             part = rows, at
-            self._arrays["parts"][*part, k.DATA_AT] = k.address(self._arrays["data"]) + start
-            self._arrays["parts"][*part, k.DATA_LENGTH] = len(send.data)
-            self._arrays["heads"][*part, k.LENGTH] = send.link
+            self.shared.parts[*part, k.DATA_AT] = k.address(self.shared.data) + start
+            self.shared.parts[*part, k.DATA_LENGTH] = len(send.data)
+            self.shared.heads[*part, k.LENGTH] = send.link
         self._refresh()
         self.loop[k.DUE_COUNT], self.loop[k.DUE_AT] = len(sends), due_ns
         self._forward(self._addresses)
@@ -136,8 +135,8 @@ class Forwarder(CompiledCore):
         loop = self.loop
         number, at, begin = int(loop[k.LINK]), int(loop[k.AT]), int(loop[k.ROW_AT])
         row = number * k.BATCH + at
-        length = self._arrays["heads"][number, at, k.LENGTH] & 0xFFFFFFFF
-        data = bytes(self._arrays["data"][row * k.ROW + begin : row * k.ROW + length])
+        length = self.shared.heads[number, at, k.LENGTH] & 0xFFFFFFFF
+        data = bytes(self.shared.data[row * k.ROW + begin : row * k.ROW + length])
         if loop[k.FOUND] == k.FRAME:
             data = data[: frame_length(data, 0)]
         loop[k.ROW_AT] = begin + len(data)
@@ -146,7 +145,7 @@ class Forwarder(CompiledCore):
         link = self._links[number]
         if isinstance(link, UdpServer):
             start = row * k.NAME
-            name = self._arrays["names"][start : start + self.ports[number, k.NAME_SIZE]]
+            name = self.shared.names[start : start + self.ports[number, k.NAME_SIZE]]
             if not link.register(bytes(name), data):
                 link.counters.refused += 1
                 loop[k.AT], loop[k.ROW_AT] = at + 1, 0
@@ -177,15 +176,15 @@ class Forwarder(CompiledCore):
                 self.ports[number, k.PEER_COUNT] = len(link.peers.by_address)
                 for row, name in enumerate(link.peers.by_address):
                     start = (number * k.PEERS + row) * k.NAME
-                    self._arrays["peers"][start : start + len(name)] = name
-                    self._arrays["heard"][number, row] = 0
+                    self.shared.peers[start : start + len(name)] = name
+                    self.shared.heard[number, row] = 0
 
     # What it counted
 
     def count(self) -> None:
         """Add the machine code's counts to the links', the core's and the latencies."""
         super().count()
-        ports, heard = self.ports, self._arrays["heard"]
+        ports, heard = self.ports, self.shared.heard
         for number, link in enumerate(self._links):
             if not any(ports[number, column] for column in range(k.DATAGRAMS, k.LONE)):
                 continue
@@ -198,13 +197,10 @@ class Forwarder(CompiledCore):
             counters.errors += ports[number, k.ERRORS]
             for column in range(k.DATAGRAMS, k.LONE):
                 ports[number, column] = 0
-            start = number * k.LATENCY_STEPS
-            for step, count in enumerate(
-                self._arrays["histogram"][start : start + k.LATENCY_STEPS].tolist()
-            ):
-                if count:
+            for step in range(k.LATENCY_STEPS):
+                if count := self.shared.histogram[number, step]:
                     self._latencies[number].add_step(step, count)
-                    self._arrays["histogram"][start + step] = 0
+                    self.shared.histogram[number, step] = 0
             for row, name in enumerate(self._known_peers[number]):
                 if heard[number, row] and isinstance(link, UdpServer):
                     link.peers.confirm(name, time.monotonic())

@@ -1,6 +1,6 @@
 """The compiled form's arrays: what each holds and what its columns mean, for both of its sides.
 
-`forwarder` fills the arrays, `frames`, `patches` and `sockets` work on them. Nothing here imports
+`forwarder` fills the arrays, `frames`, `chains` and `sockets` work on them. Nothing here imports
 numba, or numpy, which a proxy without faults need not wait for.
 """
 
@@ -10,9 +10,11 @@ import mmap
 import struct
 from typing import Any, NamedTuple
 
-from mavproxy_fault.fault_parts.memory import ARENA
+from mavproxy_fault.fault_parts import memory
 from mavproxy_fault.numerics.crc import SLICES, slicing_tables
 from mavproxy_fault.numerics.sha256 import ROUNDS, STATE, sha256_constants
+from mavproxy_fault.proxy import senders
+from mavproxy_fault.wire.signing import STREAMS
 
 BATCH = 64  # datagrams per system call
 ROW = 65_536  # bytes kept for each
@@ -106,58 +108,62 @@ Doubles = Any  # float64
 
 
 class Shared(NamedTuple):
-    """Every array of the compiled form; n is the number of links."""
+    """Every array of the compiled form: kind of its numbers (a `struct` code), and shape.
 
-    loop: Integers  # (LOOP_SIZE,)
-    polls: Integers  # (descriptors,) `pollfd` each
-    ports: Integers  # (n, PORT_SIZE)
-    heads: Integers  # (n + 1, BATCH, HEADER) for recvmmsg
-    headers: Integers  # (n + 1, BATCH, HEADER) for sendmmsg
-    parts: Integers  # (n + 1, BATCH, 2) what `headers` point to
-    names: Octets  # (n + 1, BATCH, NAME) who sent each row
-    peers: Octets  # (n, PEERS, NAME)
-    heard: Octets  # (n, PEERS) 1 where a peer has spoken since the last count
-    histogram: Integers  # (n, LATENCY_STEPS) datagrams by latency
-    data: Octets  # ((n + 1) BATCH ROW,) the datagrams' bytes
-    senders: Integers  # (senders.SIZE,)
-    table: Integers  # (IDS, TABLE_SIZE)
-    crc: Words  # (SLICES, 256)
-    outs: Octets  # ((n + 1) BATCH ROW,) outgoing bytes, by the link that they came from
-    masks: Integers  # (n + 1, BATCH) the links that a segment of them goes to
-    held: Octets  # (HELD_SIZE,) delayed frames
-    received: Octets  # (LOG_SIZE,)
-    sent: Octets  # (LOG_SIZE,)
-    index: Octets  # (LOG_SIZE,)
-    entries: Integers  # (MOST_ENTRIES, ENTRY_SIZE)
-    changes: Doubles  # (MOST_ENTRIES, 2) probability, largest change (negative: none)
-    steps: Integers  # (MOST_STEPS, STEP_SIZE)
-    elements: Integers  # (MOST_ELEMENTS, 3)
-    factors: Doubles  # (MOST_ELEMENTS, 2)
-    numbers: Doubles  # (MOST_NUMBERS,)
-    keys: Integers  # (MOST_KEYS, 6)
-    draws: Doubles  # (MOST_DRAWN BLOCK,)
-    memory: Doubles  # (memory.NUMBERS,)
-    places: Integers  # (MOST_CHAIN,) where each entry of a chain has its memory
-    values: Doubles  # (SLOT,) of a frame's elements
-    work: Octets  # (MOST_WORK SLOT,)
-    items: Integers  # (MOST_WORK, 3)
-    samples: Integers  # (SAMPLES, 2) sender and period of the newest sample
-    outcome: Doubles  # (2,)
-    message: Octets  # (MESSAGE,) what a signature is made of; the key comes first
-    sha_words: Any  # (ROUNDS,) uint32, as the next two
-    sha_state: Any  # (STATE,)
-    sha_constants: Any  # (ROUNDS + STATE,)
-    streams: Integers  # (2 STREAMS,) of `signing.stream_cell`
+    `links`, `rows` (one more), `room` (that of all rows), `descriptors` and `log` depend on the
+    proxy. For Python, arrays of octets have one dimension only, so that they can be sliced.
+    """
+
+    loop: Integers = ("q", LOOP_SIZE)
+    polls: Integers = ("q", "descriptors")  # `pollfd` each
+    ports: Integers = ("q", "links", PORT_SIZE)
+    heads: Integers = ("q", "rows", BATCH, HEADER)  # for recvmmsg
+    headers: Integers = ("q", "rows", BATCH, HEADER)  # for sendmmsg
+    parts: Integers = ("q", "rows", BATCH, 2)  # what `headers` point to
+    names: Octets = ("B", "rows", BATCH, NAME)  # who sent each row
+    peers: Octets = ("B", "links", PEERS, NAME)
+    heard: Integers = ("q", "links", PEERS)  # 1 where a peer has spoken since the last count
+    histogram: Integers = ("q", "links", LATENCY_STEPS)  # datagrams by latency
+    data: Octets = ("B", "room")  # the datagrams' bytes
+    senders: Integers = ("q", senders.SIZE)
+    table: Integers = ("q", IDS, TABLE_SIZE)
+    crc: Words = ("H", SLICES, 256)
+    outs: Octets = ("B", "room")  # outgoing bytes, by the link that they came from
+    masks: Integers = ("q", "rows", BATCH)  # the links that a segment of them goes to
+    held: Octets = ("B", HELD_SIZE)  # delayed frames
+    received: Octets = ("B", "log")
+    sent: Octets = ("B", "log")
+    index: Octets = ("B", "log")
+    entries: Integers = ("q", MOST_ENTRIES, ENTRY_SIZE)
+    changes: Doubles = ("d", MOST_ENTRIES, 2)  # probability, largest change (negative: none)
+    steps: Integers = ("q", MOST_STEPS, STEP_SIZE)
+    elements: Integers = ("q", MOST_ELEMENTS, 3)
+    factors: Doubles = ("d", MOST_ELEMENTS, 2)
+    numbers: Doubles = ("d", MOST_NUMBERS)
+    keys: Integers = ("q", MOST_KEYS, 6)
+    draws: Doubles = ("d", MOST_DRAWN * BLOCK)
+    memory: Doubles = ("d", memory.NUMBERS)
+    places: Integers = ("q", MOST_CHAIN)  # where each entry of a chain has its memory
+    values: Doubles = ("d", SLOT)  # of a frame's elements
+    work: Octets = ("B", MOST_WORK * SLOT)
+    items: Integers = ("q", MOST_WORK, 3)
+    samples: Integers = ("q", SAMPLES, 2)  # sender and period of the newest sample
+    outcome: Doubles = ("d", 2)
+    message: Octets = ("B", MESSAGE)  # what a signature is made of; the key comes first
+    sha_words: Any = ("I", ROUNDS)
+    sha_state: Any = ("I", STATE)
+    sha_constants: Any = ("I", ROUNDS + STATE)
+    streams: Integers = ("q", 2 * STREAMS)  # of `signing.stream_cell`
 
 
-ORDER = Shared(*range(len(Shared._fields)))  # where each array's address is given
+SHAPES: dict[str, Any] = Shared._field_defaults
 
 
 def table(kind: str, *shape: int) -> Any:
     """Zeroed memory as a view of numbers of one kind; pages cost nothing before they are used."""
     size = struct.calcsize(kind) * math.prod(shape)
     octets: Any = memoryview(mmap.mmap(-1, max(size, 1)))
-    return octets[:size].cast(kind, shape)
+    return octets[:size] if kind == "B" else octets[:size].cast(kind, shape)
 
 
 def address(numbers: Any) -> int:
@@ -165,40 +171,18 @@ def address(numbers: Any) -> int:
     return ctypes.addressof(ctypes.c_char.from_buffer(numbers))
 
 
-def new_arrays(links: int, descriptors: int, *, keep: bool) -> dict[str, Any]:
-    """The arrays that every proxy needs; with `keep` also those that record the traffic."""
-    log = LOG_SIZE if keep else 1
-    tables = table("H", SLICES, 256)
-    tables.cast("B")[:] = memoryview(slicing_tables()).cast("B")
-    return {
-        "loop": table("q", LOOP_SIZE),
-        "polls": table("q", max(descriptors, 1)),
-        "ports": table("q", links, PORT_SIZE),
-        "heads": table("q", links + 1, BATCH, HEADER),
-        "headers": table("q", links + 1, BATCH, HEADER),
-        "parts": table("q", links + 1, BATCH, 2),
-        "names": table("B", (links + 1) * BATCH * NAME),
-        "peers": table("B", links * PEERS * NAME),
-        "heard": table("B", links, PEERS),
-        "histogram": table("q", links * LATENCY_STEPS),
-        "data": table("B", (links + 1) * BATCH * ROW),
-        "table": table("q", IDS, TABLE_SIZE),
-        "crc": tables,
-        "outs": table("B", (links + 1) * BATCH * ROW),
-        "masks": table("q", links + 1, BATCH),
-        "held": table("B", HELD_SIZE),
-        "received": table("B", log),
-        "sent": table("B", log),
-        "index": table("B", log),
-        "memory": ARENA,
-        "places": table("q", MOST_CHAIN),
-        "values": table("d", SLOT),
-        "work": table("B", MOST_WORK * SLOT),
-        "items": table("q", MOST_WORK, 3),
-        "samples": table("q", SAMPLES, 2),
-        "outcome": table("d", 2),
-        "message": table("B", MESSAGE),
-        "sha_words": table("I", ROUNDS),
-        "sha_state": table("I", STATE),
-        "sha_constants": sha256_constants(),
-    }
+def new_shared(links: int, descriptors: int, *, keep: bool, **given: Any) -> Shared:
+    """All arrays but the given ones; with `keep` also those that record the traffic."""
+    sizes = {
+        "links": links, "rows": links + 1, "descriptors": max(descriptors, 1),
+        "log": LOG_SIZE if keep else 1, "room": (links + 1) * BATCH * ROW,
+    }  # fmt: skip
+    given |= {"memory": memory.ARENA, "sha_constants": sha256_constants()}
+    made = Shared(
+        *(
+            given[name] if name in given else table(kind, *(sizes.get(one, one) for one in shape))
+            for name, (kind, *shape) in SHAPES.items()
+        )
+    )
+    made.crc.cast("B")[:] = memoryview(slicing_tables()).cast("B")
+    return made

@@ -23,9 +23,7 @@ PACKAGE = Path(__file__).parents[1]
 ENTRY = "compiled/sockets.py"
 IMPORTED = re.compile(r"^from mavproxy_fault\.(\w+(?:\.\w+)*) import (.+?)$", re.MULTILINE)
 NAME = "mavproxy_fault_forward"
-CALLS = frozenset(
-    {"sin", "exp", "expm1", "recvfrom", "recvmmsg", "sendmmsg", "ppoll", "clock_gettime", "abort"}
-)
+PYTHON = ("Py", "numba_", "NRT_")  # beginnings of names that only exceptions need
 
 Forward = Callable[..., int]
 
@@ -83,18 +81,27 @@ def make() -> None:
 
 def _compiled() -> bytes:
     """The object file's bytes."""
-    from numba import cfunc, types
+    from numba import cfunc, config, types
+    from numba.core.compiler_lock import global_compiler_lock
 
+    from mavproxy_fault.compiled.kernel import SHARED
     from mavproxy_fault.compiled.sockets import forward
 
-    addresses = types.CPointer(types.voidptr)
-    compiled = cfunc(types.int64(addresses), error_model="numpy")(forward)
+    with global_compiler_lock:
+        # Each function alone as it is: all are optimised together below.
+        before, config.OPT = config.OPT, type(config.OPT)(0)
+        try:
+            compiled = cfunc(types.int64(SHARED), error_model="numpy")(forward)
+        finally:
+            config.OPT = before
     module = llvm.parse_assembly(compiled.inspect_llvm())
     for function in module.functions:
         if function.name == compiled.native_name:
             function.name = NAME
     module.link_in(llvm.parse_assembly(_without_python(module)))
     machine, _, _ = _target()
+    passes = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=3))
+    passes.getModulePassManager().run(module, passes)
     data: bytes = machine.emit_object(module)
     return data
 
@@ -103,7 +110,7 @@ def _without_python(module: Any) -> str:
     """Definitions of what numba's code calls to raise exceptions: ours never does, it aborts."""
     lines = ["declare void @abort()"]
     for function in module.functions:
-        if function.is_declaration and not function.name.startswith(("llvm.", *CALLS)):
+        if function.is_declaration and function.name.startswith(PYTHON):
             lines.append(f"define void @{function.name}() {{ call void @abort() unreachable }}")
     for variable in module.global_variables:
         if variable.is_declaration:

@@ -45,7 +45,7 @@ class Passage(CompiledCore):
     def room(self) -> memoryview:
         """Room for a datagram."""
         start = self._rows * k.BATCH * k.ROW
-        return memoryview(self._arrays["data"])[start : start + k.ROW]
+        return memoryview(self.shared.data)[start : start + k.ROW]
 
     def settle(self) -> None:
         """Give the core what was counted, and the passed frames to the tape."""

@@ -96,29 +96,14 @@ class Drawing(NamedTuple):
 class Plans:
     """The rows of all planned entries, and the random numbers drawn ahead for them."""
 
-    def __init__(self) -> None:
-        self.entries = k.table("q", k.MOST_ENTRIES, k.ENTRY_SIZE)
-        self.changes = k.table("d", k.MOST_ENTRIES, 2)
-        self.steps = k.table("q", k.MOST_STEPS, k.STEP_SIZE)
-        self.elements = k.table("q", k.MOST_ELEMENTS, 3)
-        self.factors = k.table("d", k.MOST_ELEMENTS, 2)
-        self.numbers = k.table("d", k.MOST_NUMBERS)
-        self.keys = k.table("q", k.MOST_KEYS, 6)
-        self.draws = k.table("d", k.MOST_DRAWN * k.BLOCK)
+    def __init__(self, shared: k.Shared) -> None:
+        self._shared = shared
         self.key_count = 0
         self._running: list[ActiveEntry] = []  # by row
         self._rows: dict[int, int | None] = {}  # of an entry, by its identity
         self._stages: list[tuple[ActiveEntry, Stage]] = []
         self._drawings: list[Drawing] = []
         self._steps_used = self._elements_used = self._numbers_used = 0
-
-    @property
-    def arrays(self) -> dict[str, Any]:
-        """The arrays that the machine code works on, by name."""
-        names = (
-            "entries", "changes", "steps", "elements", "factors", "numbers", "keys", "draws"
-        )  # fmt: skip
-        return {name: getattr(self, name) for name in names}
 
     def clear(self) -> None:
         """Forget all rows."""
@@ -137,7 +122,7 @@ class Plans:
             idle_until_us = getattr(running.fault, "idle_until_us", None)
             if idle_until_us is not None:
                 states = running.states.values()
-                self.entries[row, k.UNTIL] = min(map(idle_until_us, states), default=0)
+                self._shared.entries[row, k.UNTIL] = min(map(idle_until_us, states), default=0)
 
     def add(self, layout: Layout, acting: Sequence[ActiveEntry]) -> int | None:
         """Write the chain of entries that act on a message; the first row, None if one cannot."""
@@ -154,7 +139,7 @@ class Plans:
             if getattr(running.fault, "effect", "") == "copies":
                 frames += running.fault.copies
         for step, following in itertools.pairwise([*range(used, self._steps_used), -1]):
-            self.steps[step, k.NEXT] = following
+            self._shared.steps[step, k.NEXT] = following
         return used if frames <= k.MOST_WORK else None
 
     # Rows of entries
@@ -210,8 +195,8 @@ class Plans:
         if not self._add_drawings(running, row, plan) or not self._add_keys(running, row):
             return None
         for column, value in enumerate(plan):
-            self.entries[row, column] = value
-        self.changes[row, 0], self.changes[row, 1] = running.entry.probability, -1.0
+            self._shared.entries[row, column] = value
+        self._shared.changes[row, 0], self._shared.changes[row, 1] = running.entry.probability, -1.0
         self._running.append(running)
         return row
 
@@ -235,7 +220,7 @@ class Plans:
             system, component, message, instance = key or (0, 0, 0, 0)
             values = (row, way, system << 8 | component, message, instance, memory.at)
             for column, value in enumerate(values):
-                self.keys[self.key_count, column] = value
+                self._shared.keys[self.key_count, column] = value
             self.key_count += 1
         return True
 
@@ -260,10 +245,10 @@ class Plans:
     def _add_step(self, layout: Layout, running: ActiveEntry, row: int, frames: int) -> bool:
         """Write the row of one entry on one message, where it can act there."""
         found, fault = self._elements_of(layout, running.fault), running.fault
-        stateful = self.entries[row, k.REMEMBERS] > 0
+        stateful = self._shared.entries[row, k.REMEMBERS] > 0
         numbers = fault.numbers() if isinstance(fault, RuleLinkFault) else ()
         room = sum(len(one[1]) for one in found) + len(numbers)
-        need = frames * (len(found) if found else self.entries[row, k.DRAW_COUNT])
+        need = frames * (len(found) if found else self._shared.entries[row, k.DRAW_COUNT])
         if (
             any(one.code in "qQ" and stateful for one, *_ in found)
             or self._steps_used == k.MOST_STEPS
@@ -279,22 +264,25 @@ class Plans:
             need, self._numbers_used,
         )  # fmt: skip
         for column, value in enumerate(step):
-            self.steps[self._steps_used, column] = value
+            self._shared.steps[self._steps_used, column] = value
         self._steps_used += 1
         self._add_numbers(numbers)
         for one, values, factor, scale in found:
             place = self._elements_used
             element = (one.start, ord(one.code), self._numbers_used)
             for column, value in enumerate(element):
-                self.elements[place, column] = value
-            self.factors[place, k.FACTOR], self.factors[place, k.STEP_SCALE] = factor, scale
+                self._shared.elements[place, column] = value
+            self._shared.factors[place, k.FACTOR], self._shared.factors[place, k.STEP_SCALE] = (
+                factor,
+                scale,
+            )
             self._add_numbers(values)
             self._elements_used += 1
         return True
 
     def _add_numbers(self, numbers: Numbers) -> None:
         end = self._numbers_used + len(numbers)
-        self.numbers[self._numbers_used : end] = array("d", numbers)
+        self._shared.numbers[self._numbers_used : end] = array("d", numbers)
         self._numbers_used = end
 
     # Before and after a stretch of forwarding
@@ -303,8 +291,8 @@ class Plans:
         """Fill the blocks whose generators the core has had meanwhile."""
         for running, name, kind, used, start in self._drawings:
             if not isinstance(getattr(running, name), DrawnAhead):
-                block = DrawnAhead(running, name, kind, used).draw(self.entries)
-                self.draws[start : start + k.BLOCK] = block
+                block = DrawnAhead(running, name, kind, used).draw(self._shared.entries)
+                self._shared.draws[start : start + k.BLOCK] = block
 
     def set_back(self) -> None:
         """Set all generators back to their first unused numbers."""
@@ -315,7 +303,7 @@ class Plans:
 
     def settle(self, engine: "Engine") -> bool:
         """Add the counts of the compiled code to the entries; whether a label has begun."""
-        entries, begun = self.entries, dict[int, int]()
+        entries, begun = self._shared.entries, dict[int, int]()
         for row, running in enumerate(self._running):
             running.sealed += entries[row, k.SEALED]
             entries[row, k.SEALED] = 0
@@ -326,11 +314,11 @@ class Plans:
                 if entries[row, k.WAYS] >> way & 1 and running.direction != BOTH_DIRECTIONS:
                     running.note_changed_frame(name, first_us)
             running.count_frames(
-                entries[row, k.FRAMES_HIT], entries[row, k.SATURATED], self.changes[row, 1]
+                entries[row, k.FRAMES_HIT], entries[row, k.SATURATED], self._shared.changes[row, 1]
             )
             for column in (k.FRAMES_HIT, k.SATURATED, k.FIRST_US, k.WAYS):
                 entries[row, column] = 0
-            self.changes[row, 1] = -1.0
+            self._shared.changes[row, 1] = -1.0
             if running.needs_attention:
                 begun[id(running)] = first_us
         engine.attend_all(begun)

@@ -7,18 +7,12 @@ one and two.
 
 from typing import Any
 
-import numpy as np
-from numba import carray, types
+from numba import types
 
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.frames import pass_datagram
 from mavproxy_fault.compiled.kernel import i64, kernel
-from mavproxy_fault.compiled.layout import ORDER, Shared
-from mavproxy_fault.fault_parts.memory import NUMBERS
-from mavproxy_fault.numerics.crc import SLICES
-from mavproxy_fault.numerics.sha256 import ROUNDS, STATE
-from mavproxy_fault.proxy import senders as cells
-from mavproxy_fault.wire.signing import STREAMS
+from mavproxy_fault.compiled.layout import Shared
 
 DONTWAIT = 0x40
 MONOTONIC = 1  # clock
@@ -263,8 +257,7 @@ def _drain_links(first: int, look: bool, lent: int, shared: Shared) -> int:
     return reason
 
 
-@kernel
-def _forward(shared: Shared) -> int:
+def forward(shared: Shared) -> int:
     """Forward until the deadline, or until something is to be handed over; says which."""
     loop = shared.loop
     rounds = i64(0)
@@ -298,55 +291,3 @@ def _forward(shared: Shared) -> int:
             reason = drained
         if reason >= 0:
             return reason
-
-
-def forward(addresses: Any) -> int:
-    """`_forward` on arrays given by their addresses, in the order of `layout.ORDER`."""
-    u8, f64 = np.uint8, np.float64
-    loop = carray(addresses[ORDER.loop], (k.LOOP_SIZE,), i64)
-    links = loop[k.LINK_COUNT]
-    rows = links + 1
-    return _forward(
-        Shared(
-            loop,
-            carray(addresses[ORDER.polls], (loop[k.POLLS],), i64),
-            carray(addresses[ORDER.ports], (links, k.PORT_SIZE), i64),
-            carray(addresses[ORDER.heads], (rows, k.BATCH, k.HEADER), i64),
-            carray(addresses[ORDER.headers], (rows, k.BATCH, k.HEADER), i64),
-            carray(addresses[ORDER.parts], (rows, k.BATCH, 2), i64),
-            carray(addresses[ORDER.names], (links, k.BATCH, k.NAME), u8),
-            carray(addresses[ORDER.peers], (links, k.PEERS, k.NAME), u8),
-            carray(addresses[ORDER.heard], (links, k.PEERS), u8),
-            carray(addresses[ORDER.histogram], (links, k.LATENCY_STEPS), i64),
-            carray(addresses[ORDER.data], (rows * k.BATCH * k.ROW,), u8),
-            carray(addresses[ORDER.senders], (cells.SIZE,), i64),
-            carray(addresses[ORDER.table], (k.IDS, k.TABLE_SIZE), i64),
-            carray(addresses[ORDER.crc], (SLICES, 256), np.uint16),
-            carray(addresses[ORDER.outs], (rows * k.BATCH * k.ROW,), u8),
-            carray(addresses[ORDER.masks], (rows, k.BATCH), i64),
-            carray(addresses[ORDER.held], (k.HELD_SIZE,), u8),
-            carray(addresses[ORDER.received], (k.LOG_SIZE,), u8),
-            carray(addresses[ORDER.sent], (k.LOG_SIZE,), u8),
-            carray(addresses[ORDER.index], (k.LOG_SIZE,), u8),
-            carray(addresses[ORDER.entries], (k.MOST_ENTRIES, k.ENTRY_SIZE), i64),
-            carray(addresses[ORDER.changes], (k.MOST_ENTRIES, 2), f64),
-            carray(addresses[ORDER.steps], (k.MOST_STEPS, k.STEP_SIZE), i64),
-            carray(addresses[ORDER.elements], (k.MOST_ELEMENTS, 3), i64),
-            carray(addresses[ORDER.factors], (k.MOST_ELEMENTS, 2), f64),
-            carray(addresses[ORDER.numbers], (k.MOST_NUMBERS,), f64),
-            carray(addresses[ORDER.keys], (k.MOST_KEYS, 6), i64),
-            carray(addresses[ORDER.draws], (k.MOST_DRAWN * k.BLOCK,), f64),
-            carray(addresses[ORDER.memory], (NUMBERS,), f64),
-            carray(addresses[ORDER.places], (k.MOST_CHAIN,), i64),
-            carray(addresses[ORDER.values], (k.SLOT,), f64),
-            carray(addresses[ORDER.work], (k.MOST_WORK * k.SLOT,), u8),
-            carray(addresses[ORDER.items], (k.MOST_WORK, 3), i64),
-            carray(addresses[ORDER.samples], (k.SAMPLES, 2), i64),
-            carray(addresses[ORDER.outcome], (2,), f64),
-            carray(addresses[ORDER.message], (k.MESSAGE,), u8),
-            carray(addresses[ORDER.sha_words], (ROUNDS,), np.uint32),
-            carray(addresses[ORDER.sha_state], (STATE,), np.uint32),
-            carray(addresses[ORDER.sha_constants], (ROUNDS + STATE,), np.uint32),
-            carray(addresses[ORDER.streams], (2 * STREAMS,), i64),
-        )
-    )

@@ -1,14 +1,17 @@
-"""The elements that value faults act on: their place in a message and their range of values.
+"""The elements that value faults act on: their place in a message, and reading and writing them.
 
-Offset, end and `struct` code of each element are computed in advance, since the faults act on every
-frame of fast streams. `draft.py` reads and writes them.
+`compiled.element_bytes` does the same by address. A comparison of bytes shows whether a value has
+changed: zeros of different sign differ in their bytes only, as NaNs may.
 """
 
 import math
+from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
-from mavproxy_fault.wire.dialect import Layout
-from mavproxy_fault.wire.frame import FLOAT_MAX, INTEGER_LIMITS, Number
+from mavproxy_fault.fault_parts.fault import Outgoing
+from mavproxy_fault.wire.dialect import PACKERS, Layout, message_layout
+from mavproxy_fault.wire.frame import FLOAT_MAX, INTEGER_LIMITS, Frame, Number
 
 
 class Element(NamedTuple):
@@ -47,3 +50,54 @@ def fit_to_type(code: str, value: Number) -> tuple[Number, bool]:
         return high, True
     # `round` may exceed the limit by one count.
     return min(max(round(value), low), high), False
+
+
+def read_elements(frame: Frame, elements: Sequence[Element]) -> list[Number]:
+    """Return the values of elements; truncated zeros read as 0."""
+    payload = frame.payload.ljust(frame.layout.length, b"\0")
+    return [PACKERS[one.code].unpack_from(payload, one.start)[0] for one in elements]
+
+
+def write_elements(
+    frame: Frame,
+    t_us: int,
+    elements: Sequence[Element],
+    after: Sequence[Number],
+    scales: Sequence[float] | None = None,
+) -> Outgoing:
+    """Return the frame with other values, due at `t_us`; the same object if no byte differs.
+
+    Its magnitude is the largest finite change as a receiver sees it, with rounding, divided by the
+    scale of its element. The payload grows only as far as a change reaches into truncated zeros.
+    """
+    payload = bytearray(frame.payload.ljust(frame.layout.length, b"\0"))
+    step, saturated = -1.0, 0
+    for one, value, scale in zip(elements, after, scales or (1,) * len(elements), strict=True):
+        packer = PACKERS[one.code]
+        (healthy,) = packer.unpack_from(payload, one.start)
+        stored, cut = fit_to_type(one.code, value)
+        packer.pack_into(payload, one.start, stored)
+        change = abs(packer.unpack_from(payload, one.start)[0] - healthy)
+        # NaN and infinity have no magnitude for a label.
+        step = max(step, change / scale if scale != 1 else change) if change < math.inf else step
+        saturated += cut
+    changed = bytes(payload[: frame.length] + payload[frame.length :].rstrip(b"\0"))
+    if changed == frame.payload:
+        return Outgoing(t_us, frame)
+    size = step if step >= 0.0 else None
+    return Outgoing(t_us, frame.with_payload(changed), size, saturated)
+
+
+@cache
+def instance_element(message: int) -> tuple[Element, ...]:
+    """Return the element that distinguishes sensors with the same message, if there is one."""
+    layout = message_layout(message)
+    name = layout.instance or ("id" if "id" in layout.fields else "")
+    return (locate_element(layout, name),) if name else ()
+
+
+def sender_of(frame: Frame) -> tuple[int, ...]:
+    """Return the sender: system, component, message id and instance."""
+    found = read_elements(frame, instance_element(frame.id))
+    instance = found[0] if found and isinstance(found[0], int) else 0
+    return frame.system, frame.component, frame.id, instance

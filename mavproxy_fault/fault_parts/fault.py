@@ -40,7 +40,7 @@ class Outgoing(msgspec.Struct, frozen=True):
 class Fault(Protocol):
     """The contract; `state` is the value that `new_state` or the last `apply` returned.
 
-    A value fault (`value_fault.ValueFault`) has the rule `after` instead of `apply`.
+    A value fault (`value_fault.ValueFault`) only needs the rule `after`.
 
     `acts_on` defines what `target` names: fields of messages (passed as `elements`), complete
     frames, satellites or plant parameters (passed as `names`).

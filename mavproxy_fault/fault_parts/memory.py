@@ -5,6 +5,7 @@ called from either side at any frame.
 """
 
 import mmap
+from array import array
 from typing import Any
 
 NUMBERS = 1 << 22  # 32 MB of address space; pages are used only when touched
@@ -15,26 +16,25 @@ _used = 0
 
 
 class Memory:
-    """A region of zeros, released with its last reference."""
+    """A region of zeros, `numbers`, released with its last reference."""
 
-    __slots__ = ("at", "size")
+    __slots__ = ("at", "numbers", "size")
 
     def __init__(self, size: int) -> None:
         global _used
         self.size, released = size, _free.get(size)
         if released:
-            self.at = released.pop()
-            self.write([0.0] * size)
-            return
-        if _used + size > NUMBERS:
+            at = released.pop()
+            ARENA[at : at + size] = array("d", bytes(8 * size))
+        elif _used + size > NUMBERS:
             raise MemoryError("the faults' memory is full")
-        self.at = _used
-        _used += size
+        else:
+            at, _used = _used, _used + size
+        self.at, self.numbers = at, ARENA[at : at + size]
 
     def write(self, numbers: list[float]) -> None:
         """Set the first numbers of the region."""
-        for place, number in enumerate(numbers, self.at):
-            ARENA[place] = number
+        self.numbers[: len(numbers)] = array("d", numbers)
 
     def __del__(self, released: dict[int, list[int]] = _free) -> None:  # at exit names are gone
         if hasattr(self, "at"):

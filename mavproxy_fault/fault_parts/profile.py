@@ -14,7 +14,7 @@ from msgspec import Meta
 
 from mavproxy_fault.documents.document_check import NotFinite, NotNegative, Positive
 from mavproxy_fault.fault_parts.fault import Generator
-from mavproxy_fault.fault_parts.memory import ARENA, NO_MEMORY, Memory
+from mavproxy_fault.fault_parts.memory import NO_MEMORY, Memory
 from mavproxy_fault.fault_parts.series import Series, SeriesTable
 
 Mode = Literal["replace", "add", "scale"]
@@ -149,7 +149,7 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         if self.table is not None:
             found: float | None = state.at(t_s)
             return self.otherwise if found is None else found
-        held, value = profile_value(self.numbers, 0, t_s, ARENA, state.at)
+        held, value = profile_value(self.numbers, t_s, state.numbers)
         return value if held else None
 
 
@@ -169,35 +169,33 @@ def draw_segments(segments: Sequence[LinearSegment], rng: Any) -> Iterator[float
             yield given.number(rng) if isinstance(given, Draw) else given
 
 
-def profile_value(
-    p: Sequence[float], at: int, t_s: float, m: Any, place: int
-) -> tuple[bool, float]:
+def profile_value(p: Sequence[float], t_s: float, m: Any) -> tuple[bool, float]:
     """Return whether a profile holds at a time, and its value; a rule's function (`rules`)."""
-    kind, otherwise, value = p[at], p[at + 1] != 0.0, p[at + 2]
+    kind, otherwise, value = p[0], p[1] != 0.0, p[2]
     if kind == SINE:
-        phase_rad = math.tau * p[at + 5] * t_s + p[at + 6]
-        return True, p[at + 3] + p[at + 4] * math.sin(phase_rad)
+        phase_rad = math.tau * p[5] * t_s + p[6]
+        return True, p[3] + p[4] * math.sin(phase_rad)
     if kind == IMPULSES:
         # Half-open interval: closed at the start, open at the end.
-        if time_since_period(t_s, p[at + 4]) < p[at + 5] - CLOSE_S:
-            return True, p[at + 3]
+        if time_since_period(t_s, p[4]) < p[5] - CLOSE_S:
+            return True, p[3]
         return otherwise, value
     if kind == LIVE:
         # The last value of a stream that has stopped must not persist.
-        if m[place] and t_s - m[place + 1] <= p[at + 3]:
-            return True, m[place + 2]
+        if m[0] and t_s - m[1] <= p[3]:
+            return True, m[2]
         return otherwise, value
     piece = -1
-    for n in range(int(m[place])):
-        begins_s = m[place + 1 + PIECE * n]
-        if p[at + 3]:
+    for n in range(int(m[0])):
+        begins_s = m[1 + PIECE * n]
+        if p[3]:
             # param_gen takes the piece before the first one that has not started, sorted or not.
             if t_s <= begins_s:
                 break
             piece = n
         elif begins_s <= t_s:  # the latest piece that has started
             piece = n
-    one = place + 1 + PIECE * piece
+    one = 1 + PIECE * piece
     # After the end of a piece the value is healthy until the next one.
     if piece >= 0 and t_s <= m[one] + m[one + 1]:
         return True, m[one + 2] + (t_s - m[one]) * m[one + 3]

@@ -3,11 +3,11 @@
 Python calls a rule for single frames, `mavproxy_fault.compiled` compiles the same function for
 dense traffic. So a rule uses only its arguments, numbers and `math`:
 
-    value rule  rule(x, i, t_s, p, at, m, place, u) -> the faulty value of element i
-    link rule   rule(t_us, size, p, at, m, place, u, v) -> what becomes of the frame
+    value rule  rule(x, i, t_s, p, m, u) -> the faulty value of element i
+    link rule   rule(t_us, size, p, m, u, v) -> what becomes of the frame
 
-`x` are the healthy values of all elements, `p[at]` and following the parameters, `m[place]` and
-following what it remembers (zeros at first), `size` the bytes of the frame, `u` and `v` random
+`x` are the healthy values of all elements, `p` its parameters, `m` what it remembers
+(zeros at first), `size` the bytes of the frame, `u` and `v` random
 numbers of the kind that the fault draws.
 """
 
@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Literal
 import msgspec
 
 from mavproxy_fault.fault_parts.fault import Generator, LinkFault, Outgoing
-from mavproxy_fault.fault_parts.memory import ARENA, NO_MEMORY, Memory
+from mavproxy_fault.fault_parts.memory import NO_MEMORY, Memory
 from mavproxy_fault.fault_parts.profile import Profile, hold_live_value
 from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.wire.frame import STX_V2, Frame, Number
@@ -78,7 +78,7 @@ class RuleFault(ValueFault, frozen=True, kw_only=True):
         draws = getattr(rng, self.drawn)(count).tolist() if self.drawn else (0.0,) * count
         rows = self.numbers(count)
         return [
-            rule(before, i, t_s, rows[i], 0, ARENA, memory.at + i * step, draws[i])
+            rule(before, i, t_s, rows[i], memory.numbers[i * step :], draws[i])
             for i in range(count)
         ], state
 
@@ -134,7 +134,7 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
         raw = frame if isinstance(frame, bytes) else frame.raw
         u, *more = getattr(rng, self.drawn)(self.draw_count).tolist() if self.drawn else (0.0,)
         v, p = more[0] if more else 0.0, self.numbers()
-        number = int(type(self).rule(float(t_us), len(raw), p, 0, ARENA, memory.at, u, v))
+        number = int(type(self).rule(float(t_us), len(raw), p, memory.numbers, u, v))
         if self.effect == "delay":
             return [] if number == LOST else [delayed(frame, t_us, number)]
         if self.effect == "copies":
@@ -199,15 +199,15 @@ class ProfiledLinkFault(RuleLinkFault, frozen=True, kw_only=True):
         return state
 
 
-def repeated_draw(u: float, v: float, share: float, m: Any, place: int) -> float:
+def repeated_draw(u: float, v: float, share: float, m: Any) -> float:
     """Return the draw of the frame before with a probability, else the new one.
 
     So both the distribution of the draws and their correlation, `share`, are as given. The new one
-    lies at `m[place + 1]` from the first frame on, when `m[place]` is set.
+    lies at `m[1]` from the first frame on, when `m[0]` is set.
     """
-    if not m[place] or v >= share:
-        m[place], m[place + 1] = 1.0, u
-    return float(m[place + 1])
+    if not m[0] or v >= share:
+        m[0], m[1] = 1.0, u
+    return float(m[1])
 
 
 def delayed(frame: Frame | bytes, t_us: int, by_us: int) -> Outgoing:

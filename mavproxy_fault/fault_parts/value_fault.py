@@ -1,7 +1,6 @@
 """Value faults: rules that turn healthy values of elements into faulty ones.
 
-A rule sees numbers only. `proxy/value_entry.py` applies it to a frame, together with the other
-faults there, and counts the changes.
+A rule sees numbers only.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,10 +8,15 @@ from typing import Any, ClassVar, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.fault_parts.elements import Element
-from mavproxy_fault.fault_parts.fault import ActsOn
+from mavproxy_fault.fault_parts.elements import (
+    Element,
+    read_elements,
+    sender_of,
+    write_elements,
+)
+from mavproxy_fault.fault_parts.fault import ActsOn, Outgoing
 from mavproxy_fault.fault_parts.units import Factors
-from mavproxy_fault.wire.frame import Number
+from mavproxy_fault.wire.frame import Frame, Number
 
 GYRO = "HIL_SENSOR.xgyro"  # targets of the faults' examples
 GYROS = ["HIL_SENSOR.xgyro", "HIL_SENSOR.ygyro", "HIL_SENSOR.zgyro"]
@@ -52,6 +56,22 @@ class ValueFault(msgspec.Struct, frozen=True, kw_only=True):
     def new_state(self, start_us: int) -> ValueState:
         """Return the state when the fault becomes active."""
         return ValueState(start_us, None)
+
+    def apply(
+        self, frame: Frame, t_us: int, state: ValueState, rng: Any
+    ) -> tuple[list[Outgoing], ValueState]:
+        """Apply the rule to the values of a frame, in the units of the first target."""
+        elements, (start_us, inner) = self.elements[frame.id], state
+        key = sender_of(frame) if self.by_sender else ()
+        if key and not can_add_sender(inner, key):
+            return [Outgoing(t_us, frame)], state
+        before, factors = read_elements(frame, elements), self.factors.get(frame.id)
+        if factors is not None:
+            before = [x / f for x, f in zip(before, factors, strict=True)]
+        after, inner = self.after(before, key, (t_us - start_us) / 1e6, inner, rng)
+        if factors is not None:
+            after = [y * f for y, f in zip(after, factors, strict=True)]
+        return [write_elements(frame, t_us, elements, after)], ValueState(start_us, inner)
 
     def of(self, healthy: Number, t_s: float) -> Number:
         """Return the faulty value of one element, `t_s` seconds after the start of the fault."""

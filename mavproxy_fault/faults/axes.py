@@ -11,11 +11,9 @@ Three = tuple[float, float, float]
 
 
 @value_rule
-def take_other(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
-    """Take the value of the element `p[at]` with the sign `p[at + 1]`."""
-    return p[at + 1] * x[int(p[at])]
+def take_other(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
+    """Take the value of the element `p[0]` with the sign `p[1]`."""
+    return p[1] * x[int(p[0])]
 
 
 class AxisSwap(RuleFault, frozen=True, kw_only=True):
@@ -47,11 +45,9 @@ class AxisSwap(RuleFault, frozen=True, kw_only=True):
 
 
 @value_rule
-def multiply_row(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
+def multiply_row(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """A row of a matrix times the vector, plus an offset."""
-    return p[at] * x[0] + p[at + 1] * x[1] + p[at + 2] * x[2] + p[at + 3]
+    return p[0] * x[0] + p[1] * x[1] + p[2] * x[2] + p[3]
 
 
 class VectorFault(RuleFault, frozen=True, kw_only=True):

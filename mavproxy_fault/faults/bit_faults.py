@@ -85,11 +85,9 @@ class NotANumber(RuleFault, frozen=True, kw_only=True):
 
 
 @value_rule
-def clear_bits(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
+def clear_bits(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Return the flags without those bits; both fit 52 bits."""
-    return int(x[i]) & ~int(p[at])
+    return int(x[i]) & ~int(p[0])
 
 
 class ClearBits(RuleFault, frozen=True, kw_only=True):

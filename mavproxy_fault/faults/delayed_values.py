@@ -19,20 +19,18 @@ def stored_rows(span_s: float) -> int:
 
 
 @value_rule
-def delay_value(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
-    """Return the newest value that is old enough, from a ring of `m[place]` times and values."""
-    rows, count, first = int(p[at + 1]), int(m[place]), int(m[place + 1])
+def delay_value(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
+    """Return the newest value that is old enough, from a ring of `m[0]` times and values."""
+    rows, count, first = int(p[1]), int(m[0]), int(m[1])
     if count == rows:
         first, count = (first + 1) % rows, count - 1
-    slot = place + 2 + 2 * ((first + count) % rows)
+    slot = 2 + 2 * ((first + count) % rows)
     m[slot], m[slot + 1] = t_s, x[i]
     count += 1
-    while count > 1 and m[place + 2 + 2 * ((first + 1) % rows)] <= t_s - p[at] + CLOSE_S:
+    while count > 1 and m[2 + 2 * ((first + 1) % rows)] <= t_s - p[0] + CLOSE_S:
         first, count = (first + 1) % rows, count - 1
-    m[place], m[place + 1] = float(count), float(first)
-    return m[place + 3 + 2 * first]
+    m[0], m[1] = float(count), float(first)
+    return m[3 + 2 * first]
 
 
 class Lag(RuleFault, frozen=True, kw_only=True):
@@ -56,17 +54,15 @@ class Lag(RuleFault, frozen=True, kw_only=True):
 
 
 @value_rule
-def repeat_recording(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
-    """Record `m[place]` values, then return them in turn."""
-    count = int(m[place])
-    if count == 0 or (t_s < p[at] and count < p[at + 1]):
-        m[place + 2 + count] = x[i]
-        m[place] = float(count + 1)
+def repeat_recording(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
+    """Record `m[0]` values, then return them in turn."""
+    count = int(m[0])
+    if count == 0 or (t_s < p[0] and count < p[1]):
+        m[2 + count] = x[i]
+        m[0] = float(count + 1)
         return x[i]
-    m[place + 1] = (m[place + 1] + 1.0) % count
-    return m[place + 2 + int(m[place + 1] + count - 1.0) % count]
+    m[1] = (m[1] + 1.0) % count
+    return m[2 + int(m[1] + count - 1.0) % count]
 
 
 class Replay(RuleFault, frozen=True, kw_only=True):
@@ -90,14 +86,12 @@ class Replay(RuleFault, frozen=True, kw_only=True):
 
 
 @value_rule
-def hold_sample(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
-    """Return the last sample, `m[place + 2]` of `m[place + 1]`, or take a new one."""
+def hold_sample(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
+    """Return the last sample, `m[2]` of `m[1]`, or take a new one."""
     # With a tolerance, since timestamps are sums of steps.
-    if not m[place] or not t_s - m[place + 1] < p[at] - CLOSE_S:
-        m[place], m[place + 1], m[place + 2] = 1.0, t_s, x[i]
-    return m[place + 2]
+    if not m[0] or not t_s - m[1] < p[0] - CLOSE_S:
+        m[0], m[1], m[2] = 1.0, t_s, x[i]
+    return m[2]
 
 
 class SampleHold(RuleFault, frozen=True, kw_only=True):

@@ -64,13 +64,11 @@ class Truncate(RuleLinkFault, frozen=True, kw_only=True):
 
 
 @link_rule
-def skip_numbers(
-    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
-) -> int:
-    """Advance the offset of the sequence number, `m[place + 1]`, at a share of the frames."""
-    if u < p[at]:
-        m[place + 1] = (m[place + 1] + p[at + 1]) % 256.0  # it wraps like the sender's counter
-    return int(m[place + 1])
+def skip_numbers(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
+    """Advance the offset of the sequence number, `m[1]`, at a share of the frames."""
+    if u < p[0]:
+        m[1] = (m[1] + p[1]) % 256.0  # it wraps like the sender's counter
+    return int(m[1])
 
 
 class SequenceGap(RuleLinkFault, frozen=True, kw_only=True):

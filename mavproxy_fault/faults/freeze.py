@@ -10,13 +10,11 @@ from mavproxy_fault.fault_parts.value_fault import GYRO
 
 
 @value_rule
-def hold_first(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
-    """Return this sender's first value, `m[place + 1]`."""
-    if not m[place]:
-        m[place], m[place + 1] = 1.0, x[i]
-    return m[place + 1]
+def hold_first(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
+    """Return this sender's first value, `m[1]`."""
+    if not m[0]:
+        m[0], m[1] = 1.0, x[i]
+    return m[1]
 
 
 class Freeze(RuleFault, frozen=True, kw_only=True):
@@ -32,17 +30,15 @@ class Freeze(RuleFault, frozen=True, kw_only=True):
 
 
 @value_rule
-def follow_slowly(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
-    """Move from the last value, `m[place + 2]` at `m[place + 1]`, towards the healthy one."""
-    if not m[place]:  # the first frame of a sender is unchanged, since no time has passed
-        m[place], m[place + 1], m[place + 2] = 1.0, t_s, x[i]
+def follow_slowly(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
+    """Move from the last value, `m[2]` at `m[1]`, towards the healthy one."""
+    if not m[0]:  # the first frame of a sender is unchanged, since no time has passed
+        m[0], m[1], m[2] = 1.0, t_s, x[i]
     # No step if the clock goes back.
-    most = p[at] * max(t_s - m[place + 1], 0.0)
-    m[place + 1] = t_s
-    m[place + 2] += min(max(x[i] - m[place + 2], -most), most)
-    return m[place + 2]
+    most = p[0] * max(t_s - m[1], 0.0)
+    m[1] = t_s
+    m[2] += min(max(x[i] - m[2], -most), most)
+    return m[2]
 
 
 class SlewLimit(RuleFault, frozen=True, kw_only=True):
@@ -58,12 +54,12 @@ class SlewLimit(RuleFault, frozen=True, kw_only=True):
 
 
 @value_rule
-def decay(x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float) -> Any:
+def decay(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Decay exponentially from the first value, independent of the healthy ones."""
-    if not m[place]:
-        m[place], m[place + 1], m[place + 2] = 1.0, t_s, x[i]
-    share = math.exp(-max(t_s - m[place + 1], 0.0) / p[at + 1])  # clocks may go back
-    return p[at] + (m[place + 2] - p[at]) * share
+    if not m[0]:
+        m[0], m[1], m[2] = 1.0, t_s, x[i]
+    share = math.exp(-max(t_s - m[1], 0.0) / p[1])  # clocks may go back
+    return p[0] + (m[2] - p[0]) * share
 
 
 class FloatToNeutral(RuleFault, frozen=True, kw_only=True):

@@ -19,13 +19,11 @@ Correlation = Annotated[float, Meta(ge=0, lt=1)]
 
 
 @link_rule
-def lose_share(
-    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
-) -> int:
+def lose_share(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
     """Lose a share of the frames, correlated with a second parameter."""
-    if p[at + 1]:
-        u = repeated_draw(u, v, p[at + 1], m, place + 1)
-    return LOST if p[at] >= 1.0 or u < p[at] else 0
+    if p[1]:
+        u = repeated_draw(u, v, p[1], m[1:])
+    return LOST if p[0] >= 1.0 or u < p[0] else 0
 
 
 class Drop(ProfiledLinkFault, frozen=True, kw_only=True):
@@ -50,11 +48,9 @@ class Drop(ProfiledLinkFault, frozen=True, kw_only=True):
 
 
 @link_rule
-def lose_by_length(
-    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
-) -> int:
+def lose_by_length(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
     """Lose a frame of which one bit or more is wrong, as its receiver does."""
-    return LOST if u >= (1.0 - p[at]) ** (8 * size) else 0
+    return LOST if u >= (1.0 - p[0]) ** (8 * size) else 0
 
 
 class BitErrors(ProfiledLinkFault, frozen=True, kw_only=True):
@@ -72,12 +68,10 @@ class BitErrors(ProfiledLinkFault, frozen=True, kw_only=True):
 
 
 @link_rule
-def lose_after_bytes(
-    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
-) -> int:
-    """Lose what exceeds a number of bytes, of which `m[place + 1]` have come."""
-    m[place + 1] += size
-    return LOST if m[place + 1] > p[at] else 0
+def lose_after_bytes(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
+    """Lose what exceeds a number of bytes, of which `m[1]` have come."""
+    m[1] += size
+    return LOST if m[1] > p[0] else 0
 
 
 class Outage(RuleLinkFault, frozen=True, kw_only=True):
@@ -99,13 +93,11 @@ class Outage(RuleLinkFault, frozen=True, kw_only=True):
 
 
 @link_rule
-def lose_in_bad_state(
-    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
-) -> int:
-    """Change the state (`m[place + 1]`, 1 if bad) at random, then lose the frame at random."""
-    bad = u >= p[at + 1] if m[place + 1] else u < p[at]
-    m[place + 1] = 1.0 if bad else 0.0
-    return LOST if v < (p[at + 3] if bad else p[at + 2]) else 0
+def lose_in_bad_state(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
+    """Change the state (`m[1]`, 1 if bad) at random, then lose the frame at random."""
+    bad = u >= p[1] if m[1] else u < p[0]
+    m[1] = 1.0 if bad else 0.0
+    return LOST if v < (p[3] if bad else p[2]) else 0
 
 
 class GilbertElliott(RuleLinkFault, frozen=True, kw_only=True):
@@ -130,15 +122,13 @@ class GilbertElliott(RuleLinkFault, frozen=True, kw_only=True):
 
 
 @link_rule
-def lose_burst(
-    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
-) -> int:
-    """Lose the frame if a burst goes on or begins; `m[place + 1]` frames of it remain."""
-    if not m[place + 1] and u < p[at]:
-        m[place + 1] = p[at + 1]
-    if not m[place + 1]:
+def lose_burst(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
+    """Lose the frame if a burst goes on or begins; `m[1]` frames of it remain."""
+    if not m[1] and u < p[0]:
+        m[1] = p[1]
+    if not m[1]:
         return 0
-    m[place + 1] -= 1.0
+    m[1] -= 1.0
     return LOST
 
 

@@ -9,9 +9,9 @@ from mavproxy_fault.fault_parts.value_fault import GYRO, broadcast_values
 
 
 @value_rule
-def add_noise(x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float) -> Any:
+def add_noise(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Add a Gaussian number, or one that is uniform between -1 and 1, times sigma or width."""
-    return x[i] + (2.0 * u - 1.0 if p[at + 1] else u) * p[at]
+    return x[i] + (2.0 * u - 1.0 if p[1] else u) * p[0]
 
 
 class NoiseFault(RuleFault, frozen=True, kw_only=True):
@@ -37,13 +37,13 @@ class NoiseFault(RuleFault, frozen=True, kw_only=True):
 
 
 @value_rule
-def walk(x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float) -> Any:
-    """Add the walk `m[place + 1]` after a step for the time since `m[place]`."""
+def walk(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
+    """Add the walk `m[1]` after a step for the time since `m[0]`."""
     # Variance grows with time, not with frames, so lost frames do not slow the walk.
-    sigma = p[at] * math.sqrt(max(t_s - m[place], 0.0))
-    m[place] = t_s
-    m[place + 1] += u * sigma
-    return x[i] + m[place + 1]
+    sigma = p[0] * math.sqrt(max(t_s - m[0], 0.0))
+    m[0] = t_s
+    m[1] += u * sigma
+    return x[i] + m[1]
 
 
 class RandomWalk(RuleFault, frozen=True, kw_only=True):

@@ -17,9 +17,9 @@ from mavproxy_fault.faults.profile_faults import combine_number
 
 
 @value_rule
-def add_sine(x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float) -> Any:
+def add_sine(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Add the sine, with the same phase on every element."""
-    return x[i] + p[at] * math.sin(math.tau * p[at + 1] * t_s + p[at + 2])
+    return x[i] + p[0] * math.sin(math.tau * p[1] * t_s + p[2])
 
 
 class SineWave(RuleFault, frozen=True, kw_only=True):
@@ -37,14 +37,12 @@ class SineWave(RuleFault, frozen=True, kw_only=True):
 
 
 @value_rule
-def combine_impulse(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
+def combine_impulse(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Apply the impulse; the value is healthy between impulses."""
     # CLOSE_S: a frame at the end of an impulse is healthy.
-    if time_since_period(t_s, p[at + 2]) >= p[at + 3] - CLOSE_S:
+    if time_since_period(t_s, p[2]) >= p[3] - CLOSE_S:
         return x[i]
-    return combine_number(x, i, t_s, p, at, m, place, u)
+    return combine_number(x, i, t_s, p, m, u)
 
 
 class Impulse(RuleFault, frozen=True, kw_only=True):
@@ -75,13 +73,11 @@ class Impulse(RuleFault, frozen=True, kw_only=True):
 
 
 @value_rule
-def add_to_one(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
+def add_to_one(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Add the error to the element of the current period."""
     # By time, so that lost frames do not shift the cycle.
-    active = int((t_s + CLOSE_S) / p[at + 1]) % int(p[at + 2])
-    return x[i] + p[at] if i == active else x[i]
+    active = int((t_s + CLOSE_S) / p[1]) % int(p[2])
+    return x[i] + p[0] if i == active else x[i]
 
 
 class Cycle(RuleFault, frozen=True, kw_only=True):

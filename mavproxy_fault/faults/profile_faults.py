@@ -19,26 +19,22 @@ from mavproxy_fault.wire.frame import Number
 
 
 @value_rule
-def combine_number(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
+def combine_number(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Add the number, scale by it, or replace by it."""
-    if p[at] == 0.0:
-        return x[i] + p[at + 1]
-    return x[i] * p[at + 1] if p[at] == 1.0 else p[at + 1]
+    if p[0] == 0.0:
+        return x[i] + p[1]
+    return x[i] * p[1] if p[0] == 1.0 else p[1]
 
 
 @value_rule
-def combine_profile(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
+def combine_profile(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Combine the value with that of a profile, which keeps its numbers in memory."""
-    held, value = profile_value(p, at + 1, t_s, m, place)
+    held, value = profile_value(p[1:], t_s, m)
     if not held:
         return x[i]
-    if p[at] == 0.0:
+    if p[0] == 0.0:
         return x[i] + value
-    return x[i] * value if p[at] == 1.0 else value
+    return x[i] * value if p[0] == 1.0 else value
 
 
 class ProfileFault(RuleFault, frozen=True, kw_only=True):
@@ -85,7 +81,7 @@ class ProfileFault(RuleFault, frozen=True, kw_only=True):
         numbers = (MODES[self.profile.mode or self.mode], math.nan if value is None else value)
         if value is None:
             return before, state
-        return [combine_number(before, i, t_s, numbers, 0, (), 0, 0.0)
+        return [combine_number(before, i, t_s, numbers, (), 0.0)
                 for i in range(len(before))], state  # fmt: skip
 
     def fed(self, state: ValueState, value: float, t_us: int) -> ValueState:
@@ -122,11 +118,9 @@ class Constant(ProfileFault, frozen=True, kw_only=True):
 
 
 @value_rule
-def add_growth(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
+def add_growth(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Add rate times time; the limit applies to the error, not to the value."""
-    return x[i] + max(-p[at + 1], min(p[at + 1], p[at] * t_s))
+    return x[i] + max(-p[1], min(p[1], p[0] * t_s))
 
 
 class Drift(RuleFault, frozen=True, kw_only=True):

@@ -10,7 +10,7 @@ from typing import Annotated, Any, ClassVar, Literal
 from msgspec import Meta
 
 from mavproxy_fault.fault_parts.fault import Generator, Outgoing
-from mavproxy_fault.fault_parts.memory import ARENA, Memory
+from mavproxy_fault.fault_parts.memory import Memory
 from mavproxy_fault.fault_parts.rules import LOST, Drawn, Numbers, link_rule
 from mavproxy_fault.faults.loss import Share, lose_by_length
 from mavproxy_fault.faults.rate import MOST_QUEUED, QUEUE_AT, Count, RateLimit, limit_rate
@@ -25,13 +25,11 @@ Byte = Annotated[int, Meta(ge=0, le=255)]
 
 
 @link_rule
-def pass_radio(
-    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
-) -> int:
+def pass_radio(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
     """Send, queue or lose the frame, then lose it on the air if a bit is wrong."""
-    late_us = limit_rate(t_us, size, p, at + 1, m, place, u, v)
-    if late_us != LOST and lose_by_length(t_us, size, p, at, m, place, u, v) == LOST:
-        m[place + ERRORS_AT] += 1.0
+    late_us = limit_rate(t_us, size, p[1:], m, u, v)
+    if late_us != LOST and lose_by_length(t_us, size, p, m, u, v) == LOST:
+        m[ERRORS_AT] += 1.0
         return LOST
     return int(late_us)
 
@@ -77,20 +75,20 @@ class Radio(RateLimit, frozen=True, kw_only=True):
     ) -> list[Outgoing]:
         """Return what becomes of the frame, and a report to its sender when one is due."""
         sends = super().outcome(frame, t_us, memory, rng)
-        if t_us >= ARENA[memory.at + STATUS_AT]:
-            ARENA[memory.at + STATUS_AT] = float(t_us + STATUS_US)
-            sends.append(Outgoing(t_us, self._status(memory.at), back=True))
+        if t_us >= memory.numbers[STATUS_AT]:
+            memory.numbers[STATUS_AT] = float(t_us + STATUS_US)
+            sends.append(Outgoing(t_us, self._status(memory.numbers), back=True))
         return sends
 
     def idle_until_us(self, memory: Memory) -> int:
         """Return the time before which no report is due."""
-        return int(ARENA[memory.at + STATUS_AT])
+        return int(memory.numbers[STATUS_AT])
 
-    def _status(self, place: int) -> Frame:
+    def _status(self, m: Any) -> Frame:
         room_us = self.numbers()[6]
         values = {
-            "rxerrors": int(ARENA[place + ERRORS_AT]) & 0xFFFF,
-            "txbuf": round(100 * (1 - min(ARENA[place + QUEUE_AT] / room_us, 1.0))),
+            "rxerrors": int(m[ERRORS_AT]) & 0xFFFF,
+            "txbuf": round(100 * (1 - min(m[QUEUE_AT] / room_us, 1.0))),
             "rssi": self.rssi, "remrssi": self.rssi, "noise": self.noise, "remnoise": self.noise,
         }  # fmt: skip
         layout = message_layout("RADIO_STATUS")

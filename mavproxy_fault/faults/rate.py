@@ -20,56 +20,50 @@ Count = Annotated[int, Meta(ge=0)]
 
 
 @link_rule
-def limit_rate(
-    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
-) -> int:
+def limit_rate(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
     """Send, queue or lose the frame.
 
-    All in time of open slots, from the start of the fault (`m[place]`) on: that of the frame, and
-    that from which the line is free but for a burst (`m[place + 1]`).
+    All in time of open slots, from the start of the fault (`m[0]`) on: that of the frame, and
+    that from which the line is free but for a burst (`m[1]`).
     """
-    per_frame_us, per_byte_us, overhead, sent_when_through = p[at], p[at + 1], p[at + 2], p[at + 3]
+    per_frame_us, per_byte_us, overhead, sent_when_through = p[0], p[1], p[2], p[3]
     longest_us, room_us, burst_us, period_us, slot_us = (
-        p[at + 4], p[at + 5], p[at + 6], p[at + 7], p[at + 8],
+        p[4], p[5], p[6], p[7], p[8],
     )  # fmt: skip
     cost_us = per_frame_us + per_byte_us * (size + overhead)
-    periods = math.floor((t_us - m[place]) / period_us)
-    open_us = periods * slot_us + min(t_us - m[place] - periods * period_us, slot_us)
-    free_us = max(m[place + 1], open_us) - burst_us
+    periods = math.floor((t_us - m[0]) / period_us)
+    open_us = periods * slot_us + min(t_us - m[0] - periods * period_us, slot_us)
+    free_us = max(m[1], open_us) - burst_us
     leaves_us = max(free_us + cost_us * sent_when_through, open_us)
     if leaves_us - open_us > longest_us:
         return LOST
-    if room_us >= 0.0 and not takes_place(
-        open_us, leaves_us, cost_us, room_us, m, place + QUEUE_AT
-    ):
+    if room_us >= 0.0 and not takes_place(open_us, leaves_us, cost_us, room_us, m[QUEUE_AT:]):
         return LOST
-    m[place + 1] = free_us + cost_us + burst_us
+    m[1] = free_us + cost_us + burst_us
     periods = math.floor(leaves_us / slot_us)
-    return max(int(m[place] + periods * period_us + leaves_us - periods * slot_us - t_us), 0)
+    return max(int(m[0] + periods * period_us + leaves_us - periods * slot_us - t_us), 0)
 
 
-def takes_place(
-    now_us: float, leaves_us: float, cost_us: float, room_us: float, m: Any, place: int
-) -> bool:
+def takes_place(now_us: float, leaves_us: float, cost_us: float, room_us: float, m: Any) -> bool:
     """Whether a queue of limited size takes a frame; one that is being sent still waits as a whole.
 
-    Sizes are transmission times: `m[place]` is the sum of those waiting, then follow the numbers of
+    Sizes are transmission times: `m[0]` is the sum of those waiting, then follow the numbers of
     frames that came and that left, and a ring of when each leaves and its size.
     """
-    ring = place + 3
-    while m[place + 2] < m[place + 1]:
-        slot = ring + 2 * (int(m[place + 2]) % MOST_QUEUED)
+    ring = 3
+    while m[2] < m[1]:
+        slot = ring + 2 * (int(m[2]) % MOST_QUEUED)
         if m[slot] > now_us:
             break
-        m[place] -= m[slot + 1]
-        m[place + 2] += 1.0
-    if m[place] + cost_us > room_us or m[place + 1] - m[place + 2] >= MOST_QUEUED:
+        m[0] -= m[slot + 1]
+        m[2] += 1.0
+    if m[0] + cost_us > room_us or m[1] - m[2] >= MOST_QUEUED:
         return False
     if leaves_us > now_us:
-        slot = ring + 2 * (int(m[place + 1]) % MOST_QUEUED)
+        slot = ring + 2 * (int(m[1]) % MOST_QUEUED)
         m[slot], m[slot + 1] = leaves_us, cost_us
-        m[place] += cost_us
-        m[place + 1] += 1.0
+        m[0] += cost_us
+        m[1] += 1.0
     return True
 
 

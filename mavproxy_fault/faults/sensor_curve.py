@@ -9,13 +9,11 @@ from mavproxy_fault.fault_parts.value_fault import GYRO
 
 
 @value_rule
-def round_to_step(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
+def round_to_step(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Round to the nearest step; NaN and infinity stay."""
-    steps = x[i] / p[at]
+    steps = x[i] / p[0]
     # Beyond 2^52 every number is whole.
-    return round(steps) * p[at] if abs(steps) < 2.0**52 else x[i]
+    return round(steps) * p[0] if abs(steps) < 2.0**52 else x[i]
 
 
 class Quantise(RuleFault, frozen=True, kw_only=True):
@@ -30,11 +28,9 @@ class Quantise(RuleFault, frozen=True, kw_only=True):
 
 
 @value_rule
-def limit_to_range(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
+def limit_to_range(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Return the nearest value in the range; NaN fails both comparisons and stays."""
-    return p[at] if x[i] < p[at] else p[at + 1] if x[i] > p[at + 1] else x[i]
+    return p[0] if x[i] < p[0] else p[1] if x[i] > p[1] else x[i]
 
 
 class Saturate(RuleFault, frozen=True, kw_only=True):
@@ -67,11 +63,9 @@ class Saturate(RuleFault, frozen=True, kw_only=True):
 
 
 @value_rule
-def cut_dead_band(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
+def cut_dead_band(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Return the part outside the band; the sign stays, also that of a zero."""
-    return math.copysign(max(abs(x[i]) - p[at], 0.0), x[i])
+    return math.copysign(max(abs(x[i]) - p[0], 0.0), x[i])
 
 
 class DeadBand(RuleFault, frozen=True, kw_only=True):

@@ -11,22 +11,15 @@ References
 """
 
 import math
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import msgspec
 
-from mavproxy_fault.fault_parts.draft import rewrite_fields
+from mavproxy_fault.fault_parts.elements import locate_element, write_elements
 from mavproxy_fault.fault_parts.fault import ActsOn, Generator, Outgoing
 from mavproxy_fault.fault_parts.profile import Seconds
 from mavproxy_fault.fault_parts.spoofed_messages import MOVERS, Move, Three
 from mavproxy_fault.wire.frame import Frame
-
-
-class Shift(NamedTuple):
-    """Errors of position and velocity, NED."""
-
-    offset_m: Three
-    velocity_mps: Three
 
 
 class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
@@ -56,17 +49,17 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
                 "has no effect; give value, offset_m, velocity_mps or velocity_error_mps"
             )
 
-    def shift(self, t_s: float) -> Shift:
+    def shift(self, t_s: float) -> Move:
         """Return the offset and its rate, `t_s` after the start of the spoof."""
         offset = self.offset_m if self.value is None else (self.value, 0.0, 0.0)
         t_s = max(t_s, 0.0)  # the sender's clock may be behind the one that started the fault
         if t_s < self.ramp_s:
             # Consistent with the moving position, or innovation tests would detect the spoof.
             share, rate = t_s / self.ramp_s, 1.0 / self.ramp_s
-            return Shift(_scaled(offset, share), _scaled(offset, rate))
+            return Move(_scaled(offset, share), _scaled(offset, rate))
         extra = _scaled(self.velocity_mps, t_s - self.ramp_s)
         moved = (offset[0] + extra[0], offset[1] + extra[1], offset[2] + extra[2])
-        return Shift(moved, self.velocity_mps)
+        return Move(moved, self.velocity_mps)
 
     def new_state(self, start_us: int) -> int:
         """Return the start time."""
@@ -82,8 +75,10 @@ class GpsSpoof(msgspec.Struct, frozen=True, kw_only=True):
         moved = self.shift((t_us - state) / 1e6)
         pairs = zip(moved.velocity_mps, self.velocity_error_mps, strict=True)
         north, east, down = (velocity + error for velocity, error in pairs)
-        shift = Shift(moved.offset_m, (north, east, down))
-        out = rewrite_fields(frame, t_us, mover(frame, Move(*shift)))
+        shift = Move(moved.offset_m, (north, east, down))
+        values = mover(frame, shift)
+        elements = [locate_element(frame.layout, name) for name in values]
+        out = write_elements(frame, t_us, elements, list(values.values()))
         # Position and velocity are unknown in this frame.
         if out.frame is frame:
             return [out], state

@@ -7,8 +7,7 @@ They change every field with the sender's time, in any unit: `time_usec`, `usec`
 from typing import Any, ClassVar, Literal
 
 from mavproxy_fault.documents.document_check import Positive
-from mavproxy_fault.fault_parts.draft import Draft
-from mavproxy_fault.fault_parts.elements import locate_element
+from mavproxy_fault.fault_parts.elements import locate_element, read_elements, write_elements
 from mavproxy_fault.fault_parts.fault import Generator, LinkFault, Outgoing
 from mavproxy_fault.fault_parts.rules import Numbers, value_rule
 from mavproxy_fault.wire.dialect import Layout
@@ -19,11 +18,9 @@ COUNTS_PER_S = {"us": 1e6, "ms": 1e3}
 
 
 @value_rule
-def shift_stamp(
-    x: Any, i: int, t_s: float, p: Numbers, at: int, m: Any, place: int, u: float
-) -> Any:
+def shift_stamp(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Shift by an error that grows with time, in counts; timestamps are integers."""
-    return x[i] + round((p[at] + p[at + 1] * t_s) * p[at + 2])
+    return x[i] + round((p[0] + p[1] * t_s) * p[2])
 
 
 class TimestampFault(LinkFault, frozen=True, kw_only=True):
@@ -46,17 +43,14 @@ class TimestampFault(LinkFault, frozen=True, kw_only=True):
         self, frame: Frame, t_us: int, state: int, rng: Generator
     ) -> tuple[list[Outgoing], int]:
         """Shift every timestamp of the frame; forward messages without one."""
-        t_s, draft = (t_us - state) / 1e6, Draft(frame)
-        largest_s, saturated = -1.0, 0
-        for name, scale in stamp_fields(frame.layout).items():
-            elements = [locate_element(frame.layout, name)]
-            before = draft.values(elements)
-            after = shift_stamp(before, 0, t_s, (*self.error(), scale), 0, (), 0, 0.0)
-            step, cut, _ = draft.write(elements, before, [after])
-            largest_s, saturated = max(largest_s, step / scale), saturated + cut
-        if not draft.changed:
-            return [Outgoing(t_us, frame)], state
-        return [Outgoing(t_us, draft.sealed(), largest_s, saturated)], state
+        fields, t_s = stamp_fields(frame.layout), (t_us - state) / 1e6
+        elements, scales = [locate_element(frame.layout, name) for name in fields], fields.values()
+        before = read_elements(frame, elements)
+        after = [
+            shift_stamp(before, i, t_s, (*self.error(), scale), (), 0.0)
+            for i, scale in enumerate(scales)
+        ]
+        return [write_elements(frame, t_us, elements, after, list(scales))], state
 
 
 def stamp_fields(layout: Layout) -> dict[str, float]:

@@ -31,40 +31,36 @@ MOST_QUANTILES = 256  # of samples: the mean of an exponential's is then 0.3 % t
 
 
 @link_rule
-def choose_share(
-    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
-) -> int:
-    """Return `p[at + 1]` for a share of the frames."""
-    return int(p[at + 1]) if p[at] >= 1.0 or u < p[at] else 0
+def choose_share(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
+    """Return `p[1]` for a share of the frames."""
+    return int(p[1]) if p[0] >= 1.0 or u < p[0] else 0
 
 
 @link_rule
-def delay_at_random(
-    t_us: float, size: int, p: Numbers, at: int, m: Any, place: int, u: float, v: float
-) -> int:
-    """Delay by a random time; the last frame is due at `m[place]`."""
-    distribution, value_s, correlation = p[at], p[at + 1], p[at + 5]
+def delay_at_random(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
+    """Delay by a random time; the last frame is due at `m[0]`."""
+    distribution, value_s, correlation = p[0], p[1], p[5]
     if correlation:
         if distribution == NORMAL:  # `v` is of the same distribution; its quantile is uniform
             v = 0.5 + 0.5 * math.erf(v / math.sqrt(2.0))
         elif distribution in (EXPONENTIAL, PARETO):
             v = -math.expm1(-v)
-        u = repeated_draw(u, v, correlation, m, place + 1)
+        u = repeated_draw(u, v, correlation, m[1:])
     late_s = value_s * u
     if distribution == NORMAL:  # clipped: a frame cannot be sent before it arrives
         late_s = max(late_s, 0.0)
     elif distribution == PARETO:
-        late_s = value_s * math.expm1(u / p[at + 3])
+        late_s = value_s * math.expm1(u / p[3])
     elif distribution == SAMPLES:  # between two of the quantiles, which follow
-        quantile = u * p[at + 6]
+        quantile = u * p[6]
         n = int(quantile)
-        low, high = p[at + 7 + n], p[at + 8 + n]
+        low, high = p[7 + n], p[8 + n]
         late_s = value_s * (low + (quantile - n) * (high - low))
-    late_us = float(round((p[at + 2] + late_s) * 1e6))
+    late_us = float(round((p[2] + late_s) * 1e6))
     # It would overtake the previous frame, so it waits for that one.
-    if p[at + 4] and t_us + late_us < m[place]:
-        late_us = m[place] - t_us
-    m[place] = max(m[place], t_us + late_us)
+    if p[4] and t_us + late_us < m[0]:
+        late_us = m[0] - t_us
+    m[0] = max(m[0], t_us + late_us)
     return int(late_us)
 
 

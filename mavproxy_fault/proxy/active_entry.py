@@ -105,6 +105,8 @@ class ActiveEntry:
         self.buffers = hasattr(entry.fault, "release")  # `Buffering`; isinstance would be slow
         self.ends_itself = hasattr(entry.fault, "done")
         self.keeps_back = getattr(entry.fault, "keeps_back", False)
+        codes = {e.code for row in getattr(entry.fault, "elements", {}).values() for e in row}
+        self._whole = bool(codes) and not codes & {"f", "d"}
 
     @property
     def magnitude(self) -> float | None:
@@ -310,6 +312,8 @@ class ActiveEntry:
 
     def count_frames(self, frames: int, saturated: int, magnitude: float) -> None:
         """Add to this entry's counts; a negative magnitude means none."""
+        # A change of integers is written as an integer.
+        magnitude = (int if self._whole else float)(magnitude)
         self.frames += frames
         self.saturated += saturated
         if magnitude > self._largest:

@@ -14,11 +14,9 @@ import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
-from mavproxy_fault.fault_parts.draft import Draft
 from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.proxy.active_entry import ActiveEntry, add_seconds
 from mavproxy_fault.proxy.interfaces import ANY, NEVER_US, Route
-from mavproxy_fault.proxy.value_entry import ActiveValueEntry, activate_entry
 from mavproxy_fault.schedule.entries import Entry, Schedule, parse_entry
 from mavproxy_fault.schedule.saving import write_schedule
 from mavproxy_fault.schedule.triggers import Telemetry
@@ -100,7 +98,7 @@ class Engine:
 
     def _run(self, entry: Entry, base_us: int) -> ActiveEntry:
         assert self.t0_us is not None
-        return activate_entry(entry, self.seed, base_us, self.t0_us)
+        return ActiveEntry(entry, self.seed, base_us, self.t0_us)
 
     def advance_time(self, t_us: int) -> None:
         """Advance the time for live edits, even without a frame."""
@@ -255,27 +253,16 @@ class Engine:
         if frame.id in self._watched:
             self._watch(frame)
         link_us = self._follow()
-        draft: Draft | None = None
-        sends: list[Outgoing] | None = None
+        sends = [Outgoing(link_us, frame)]
         for running in self._by_id.get(frame.id, self._any):
             if not running.matches_all and not running.matches(frame, direction):
                 continue
             if sealed and not running.takes_sealed:
                 running.sealed += 1
                 continue
-            if sends is not None:
-                sends = _apply_to_outgoing(running, sends, direction, t_us, route)
-            elif isinstance(running, ActiveValueEntry) and running.endpoint_links == -1:
-                if draft is None:
-                    draft = Draft(frame)
-                running.edit(draft, direction, link_us if running.on_link else t_us)
-            else:
-                sends = [Outgoing(link_us, draft.sealed() if draft else frame)]
-                sends = _apply_to_outgoing(running, sends, direction, t_us, route)
+            sends = _apply_to_outgoing(running, sends, direction, t_us, route)
             if running.needs_attention:
                 self.attend(running, self._now(running))
-        if sends is None:
-            sends = [Outgoing(link_us, draft.sealed() if draft else frame)]
         if self._released:
             sends, self._released = self._released + sends, []
         return sends
@@ -379,7 +366,7 @@ class Engine:
         else:
             for one in entries:
                 self._stop(one.id)
-                running = activate_entry(one, self.seed, self._now(one), self.t0_us, injected=True)
+                running = ActiveEntry(one, self.seed, self._now(one), self.t0_us, injected=True)
                 self._all.append(running)
             self._advance()
             self._drop_ended()

@@ -6,7 +6,14 @@ from pathlib import Path
 import pytest
 
 from mavproxy_fault.compiled import object_file
+from mavproxy_fault.compiled.compiled_core import CompiledCore
 from mavproxy_fault.compiled.object_file import PACKAGE, load, make, sources
+from mavproxy_fault.proxy.core import Core
+from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.interfaces import LinkRole
+from mavproxy_fault.schedule.entries import parse_schedule
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import build_frame
 
 
 def test_machine_code_that_is_made_later_is_found(
@@ -61,3 +68,17 @@ def test_every_file_that_is_compiled_in_is_among_the_sources() -> None:
     compiled_in = {name for name in ours if not name.endswith("__init__.py")}
     assert "proxy/sender_rules.py" in compiled_in
     assert compiled_in <= set(sources())
+
+
+def test_a_rule_may_call_the_functions_of_libm() -> None:
+    make()
+    jitter = {"fault": "jitter", "value": 0.01, "distribution": "normal", "correlation": 0.4}
+    roles = [LinkRole("a", "from-vehicle"), LinkRole("b", "to-vehicle")]
+    core = Core(roles, Engine(parse_schedule({"seed": 1, "faults": [jitter]})))
+    compiled = CompiledCore(core, 0, None)
+    for n in range(200):
+        frame = build_frame(message_layout("HEARTBEAT"), {"type": 2}, seq=n)
+        compiled.received(0, frame, 4000 * n)
+    compiled.count()
+    assert core.states[0].frames == 200
+    assert 0 < core.states[0].faulted < 200

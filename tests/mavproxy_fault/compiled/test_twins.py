@@ -72,6 +72,7 @@ LINK_FAULTS: list[dict[str, Any]] = [
     {"fault": "reorder", "value": 0.4, "by_s": 0.03},
     {"fault": "jitter", "value": 0.02},
     {"fault": "jitter", "value": 0.01, "distribution": "normal"},
+    {"fault": "jitter", "value": 0.01, "distribution": "normal", "correlation": 0.4},
     {"fault": "jitter", "value": 0.01, "distribution": "pareto", "keep_order": False},
     {"fault": "jitter", "value": 0.01, "distribution": "exponential", "correlation": 0.4},
     {"fault": "jitter", "value": 1, "distribution": "samples", "samples": [0.01, 0, 0.03]},

@@ -13,9 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as pymavlink
 
-from mavproxy_fault.fault_parts.draft import Draft
 from mavproxy_fault.fault_parts.fault import Outgoing
-from mavproxy_fault.fault_parts.value_fault import ValueFault
 from mavproxy_fault.faults import registry
 from mavproxy_fault.faults.registry import known_faults
 from mavproxy_fault.proxy.engine import Engine
@@ -98,17 +96,8 @@ def test_a_returned_state_does_not_change_the_previous_one(name: str) -> None:
         for t_us, frame in frames():
             if entry.ids is not None and frame.id not in entry.ids:
                 continue
-            if isinstance(entry.fault, ValueFault):
-                draft = Draft(frame)
-                healthy = draft.values(entry.fault.elements[frame.id])
-                after, inner = entry.fault.after(
-                    healthy, draft.sender(), (t_us - START_US) / 1e6, state.inner, rng
-                )
-                state = state._replace(inner=inner)
-                found.append((t_us, repr(after)))
-            else:
-                sends, state = entry.fault.apply(frame, t_us, state, rng)
-                found += [(out.due_us, raw(out)) for out in sends]
+            sends, state = entry.fault.apply(frame, t_us, state, rng)
+            found += [(out.due_us, raw(out)) for out in sends]
         outcomes.append(found)
     assert outcomes[0] == outcomes[1]
 

@@ -2,13 +2,12 @@
 
 import pytest
 
-from mavproxy_fault.fault_parts.draft import Draft
 from mavproxy_fault.fault_parts.value_fault import MOST_ROWS, MOST_SENDERS
 from mavproxy_fault.faults.delayed_values import Lag, Replay
 from mavproxy_fault.faults.profile_faults import Bias
 from mavproxy_fault.faults.registry import known_faults
+from mavproxy_fault.proxy.active_entry import ActiveEntry
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.value_entry import ActiveValueEntry
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
@@ -16,9 +15,9 @@ from mavproxy_fault.wire.frame import Frame, build_frame
 SENSOR = message_layout("HIL_SENSOR")
 
 
-def at_work(fault: str, value: float) -> ActiveValueEntry:
+def at_work(fault: str, value: float) -> ActiveEntry:
     entry = {"fault": fault, "target": "HIL_SENSOR.ygyro", "value": value}
-    running = ActiveValueEntry(parse_schedule({"faults": [entry]}).faults[0], 1, 0, 0)
+    running = ActiveEntry(parse_schedule({"faults": [entry]}).faults[0], 1, 0, 0)
     running.begin()
     return running
 
@@ -26,18 +25,17 @@ def at_work(fault: str, value: float) -> ActiveValueEntry:
 def test_a_live_value_acts_on_the_next_frame() -> None:
     running = at_work("bias", 1.0)
     running.set_value(3.0, 1, None)
-    draft = Draft(Frame(build_frame(SENSOR, {"id": 1}), SENSOR))
-    running.edit(draft, "from-vehicle", 2)
-    assert draft.sealed().number("ygyro") == 3.0
+    [out] = running.act(Frame(build_frame(SENSOR, {"id": 1}), SENSOR), "from-vehicle", 2)
+    assert isinstance(out.frame, Frame)
+    assert out.frame.number("ygyro") == 3.0
 
 
 def test_a_frame_passes_if_a_rule_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     running = at_work("bias", 1.0)
     monkeypatch.setattr(Bias, "numbers", lambda self, count: [()] * count)
     frame = Frame(build_frame(SENSOR, {"id": 1}), SENSOR)
-    draft = Draft(frame)
-    running.edit(draft, "from-vehicle", 2)
-    assert draft.sealed() is frame
+    [out] = running.act(frame, "from-vehicle", 2)
+    assert out.frame is frame
     assert running.failures == 1
 
 
