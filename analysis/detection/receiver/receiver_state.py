@@ -6,8 +6,8 @@ import numpy as np
 
 from analysis.detection.receiver.carry_off_windows import CarryOffWindows
 from analysis.detection.receiver.fix_latency import Latency
-from analysis.detection.receiver.frozen_fix import FixRepeats
 from analysis.detection.receiver.imu_scatter import ImuScatter
+from analysis.detection.streams.fix_repeats import FixRepeats
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 

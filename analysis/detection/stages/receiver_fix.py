@@ -33,7 +33,6 @@ from analysis.detection.receiver.fix_latency import (
     mean_acceleration,
     update_latency,
 )
-from analysis.detection.receiver.frozen_fix import fix_values
 from analysis.detection.receiver.heading import limit_heading_update
 from analysis.detection.receiver.imu_scatter import update_scatter
 from analysis.detection.receiver.position_test import (
@@ -56,6 +55,7 @@ from analysis.detection.stages.epoch_outcome import update_suspension
 from analysis.detection.stages.fix_record import RECEIVER, build_fix_decision, fix_sensor_decisions
 from analysis.detection.stages.predict import Prediction, predict
 from analysis.detection.statistics.chi_square import chi_square_threshold
+from analysis.detection.streams.fix_repeats import fix_values
 from analysis.results import Result
 from analysis.samples.sample import GpsFix, Vector
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from analysis.detection.receiver.frozen_fix import FixRepeats
+from analysis.detection.streams.fix_repeats import FixRepeats
 from analysis.detection.streams.stream_rate import StreamRate
 from analysis.samples.block import FIX_3D, FIX_TYPE, NEVER_US, SOURCES
 
