@@ -18,7 +18,6 @@ from typing import Any
 import msgspec
 
 from analysis.autopilots.ardupilot import ardupilot_process
-from analysis.autopilots.bus_session import AutopilotBusSession
 from analysis.autopilots.flight_operator import (
     IGNORED_STREAMS,
     OPERATOR_PERIOD_US,
@@ -32,35 +31,28 @@ from analysis.autopilots.hil_exchange import (
     ConnectionDeadline,
     is_lockstep_traffic,
 )
-from analysis.autopilots.operator_commands import OperatorCommands, OperatorModes
+from analysis.autopilots.operator_commands import OperatorCommands
 from analysis.autopilots.px4 import px4_process
 from analysis.autopilots.running_autopilot import RunningAutopilot, StartupPacer
 from analysis.autopilots.stretches import open_stretches
-from analysis.report.curves.fault_effects import deviation_curves, measure_effects
+from analysis.report.curves.fault_effects import deviation_curves
 from analysis.report.curves.recording import Signal
-from analysis.report.run_folder import ResultFile, make_folder, write_summary
-from analysis.run.monitor_process import MonitorProcess
-from analysis.run.proxied_flight import GROUND, ProxiedFlight, recorder_session
+from analysis.report.run_folder import make_folder
+from analysis.run.flight_session import RECORD_PERIOD_US, FlightSession
+from analysis.run.proxied_flight import GROUND
 from analysis.run.reference_flight import REFERENCE_FOLDER
-from analysis.run.run_command import RECORD_PERIOD_US, write_flight_report
-from analysis.run.run_setup import RunSetup, setup_from_args
+from analysis.run.run_setup import setup_from_args
 from analysis.run.stop_signal import StopCheck, stop_requests
-from analysis.run.terminal_summary import show_summary
-from analysis.run.vehicle_judging import judge_vehicle_of_run, report_unmatched_faults
 from analysis.scoring.criteria import CriterionCheck
-from mavproxy_fault.app.recorder import EDITS, Recorder
 from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.parameter_list import read_parameters
-from mavproxy_fault.links.bus import Bus, open_run_bus
-from mavproxy_fault.live.edit_log import JOIN, EditLog, describe_edits, read_edits
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.schedule.entries import Entry, Schedule
 from mavproxy_fault.schedule.saving import write_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser, walk_frames
-from mavproxy_fault.wire.tlog import read_columns
 from simvehicle.app.lockstep_loop import LockstepLoop, PeerGoneError
 from simvehicle.app.pace import parse_speed
 from simvehicle.app.sim_progress import Progress
@@ -125,58 +117,48 @@ def main(args: argparse.Namespace) -> int:
     arguments = autopilot.launch_command(args.binary or binary)
     folder = make_folder(args.out, setup.scenario.name)
     args.out = str(folder)  # for the page beside the run
-    started_s = time.monotonic()
+    # At full speed, publishing only costs time: publish only if requested.
+    zenoh = "off" if args.zenoh == "auto" and not args.ui else args.zenoh
+    faults = tuple(map(keep_telemetry, setup.schedule.faults))
+    # The other faults are loaded at the chosen flight event; these name their own.
+    first = Schedule(setup.schedule.seed, tuple(one for one in faults if "from" in one.written))
     with contextlib.ExitStack() as stack:
-        monitor = stack.enter_context(MonitorProcess(setup.monitor, records=True))
-        file = stack.enter_context(ResultFile(folder))
-        stop = stack.enter_context(stop_requests())
-        run = AutopilotRun(setup, folder, args.count_from, monitor, stop)
-        # At full speed, publishing only costs time: publish only if requested.
-        if args.ui or args.zenoh != "auto":
-            bus = open_run_bus(args.zenoh, folder.name, config_file=args.zenoh_config)
-            run.attach_bus(stack.enter_context(bus))
-        simulation = run.flight.simulation
-        modes = autopilot.MODES[simulation.scenario.vehicle.kind]
-        launch = autopilot.start_autopilot(arguments, simulation, folder, overrides)
-        reason = run.run_flight(
-            launch, modes, parse_speed(args.speed or ("1" if args.ui else "max"))
+        session = FlightSession(args, setup, folder, first, stack, zenoh=zenoh, records=True)
+        simulation = session.flight.simulation
+        plan, modes = flight_plan(simulation), autopilot.MODES[setup.scenario.vehicle.kind]
+        run = AutopilotRun(
+            session,
+            Schedule(setup.schedule.seed, faults),
+            args.count_from,
+            Operator(plan, OperatorCommands(modes, plan.landing)),
+            stack.enter_context(stop_requests()),
+            viewed=zenoh != "off",
         )
-        columns = read_columns(folder / "sent.tlog")
-        file.write(run.results + monitor.results())
-        wall_s = time.monotonic() - started_s
-        labels = run.flight.completed_labels()
-        summary = monitor.summary(labels, setup.criteria, wall_s)
-    judge_vehicle_of_run(summary, columns, labels, setup, folder, under_autopilot=True)
-    report_unmatched_faults(summary, setup.schedule, labels)
+        launch = autopilot.start_autopilot(arguments, simulation, folder, overrides)
+        reason = run.run_flight(launch, parse_speed(args.speed or ("1" if args.ui else "max")))
+        summary = session.summarise()
     if reason:
         report_early_end(summary, reason)
     summary["autopilot"] = run.summary(reason)
-    summary["edited"] = run.edit_lines(folder)
-    curves = []
-    if args.against_clean:
-        t0_us = run.flight.core.clock.t0_us or 0
-        schedule = {"seed": setup.schedule.seed, "faults": []}
-        curves = deviations_from_reference(args, schedule, folder, summary, t0_us)
-        summary["effects"] = measure_effects(curves, labels, t0_us)
-    write_summary(folder, summary)
-    if args.report:
-        write_flight_report(folder, summary, columns, curves)
-    code = show_summary(args, summary, folder)
+
+    def read_curves(t0_us: int, summary: dict[str, Any]) -> list[Signal] | None:
+        if not args.against_clean:
+            return None
+        return deviations_from_reference(args, setup.schedule.seed, folder, summary, t0_us)
+
+    code = session.finish(args, summary, read_curves, under_autopilot=True)
     return 1 if reason else code
 
 
 def deviations_from_reference(
-    args: argparse.Namespace,
-    schedule: dict[str, Any],
-    folder: Path,
-    summary: dict[str, Any],
-    t0_us: int,
+    args: argparse.Namespace, seed: int, folder: Path, summary: dict[str, Any], t0_us: int
 ) -> list[Signal]:
     """Fly the same without faults, and return the deviations from it by the time since take-off."""
     given = {name: getattr(args, name) for name in ("autopilot", "binary", "parameters", "speed")}
     run = [args.scenario] if args.scenario else []
     run += [f"--set={change}" for change in args.set]
     run += [f"--{name}={value}" for name, value in given.items() if value is not None]
+    schedule = {"seed": seed, "faults": []}
     reference = run_flight_process(
         "--against-clean", run, schedule, folder / REFERENCE_FOLDER, kept=False
     )
@@ -246,48 +228,30 @@ class AutopilotRun:
 
     def __init__(
         self,
-        setup: RunSetup,
-        folder: Path,
+        session: FlightSession,
+        schedule: Schedule,
         count_from: str,
-        monitor: MonitorProcess,
+        operator: Operator,
         stop: StopCheck,
+        *,
+        viewed: bool,
     ) -> None:
-        faults = [keep_telemetry(entry) for entry in setup.schedule.faults]
-        # The other faults are loaded at the chosen flight event; these name their own.
-        event_entries = tuple(entry for entry in faults if "from" in entry.written)
-        self.flight = ProxiedFlight(setup.scenario, Schedule(setup.schedule.seed, event_entries))
-        self.results: list[Any] = []
-        self._schedule = Schedule(setup.schedule.seed, tuple(faults))
-        self._count_from, self._stop = count_from, stop
-        self._monitor = monitor
-        self._edit_log = EditLog(self.flight.core, self.flight.capture)
-        self._edit_log.note(JOIN, b"", self._edit_log.begin(self.flight.now_us))
-        self._recorder = Recorder(
-            folder, recorder_session(setup.scenario.name, setup.schedule.seed, self.flight)
-        )
+        self._session, self._flight = session, session.flight
+        self._schedule, self._count_from = schedule, count_from
+        self._operator, self._stop, self._viewed = operator, stop, viewed
         self._parser = Parser()
-        self._passage = new_passage(self.flight.core, self.flight.capture)
+        self._passage = new_passage(self._flight.core, self._flight.capture)
         self._recorded_us = self._operator_us = 0
-        self._loaded_schedule: str | None = None  # the schedule as it was loaded
         self._progress = Progress(time.monotonic())
         self._phase = ""
-        self._bus_session: AutopilotBusSession | None = None
-
-    def attach_bus(self, bus: Bus | None) -> None:
-        """Publish the flight on a bus, and accept fault control from it."""
-        if bus is not None:
-            self._bus_session = AutopilotBusSession(bus, self.flight, self._edit_log)
 
     def run_flight(
         self,
         launch: AbstractContextManager[RunningAutopilot],
-        modes: OperatorModes,
         speed: float,
     ) -> str:
         """Fly to the landing; return the reason of an early end, or an empty string."""
-        simulation = self.flight.simulation
-        plan = flight_plan(simulation)
-        self._operator = Operator(plan, OperatorCommands(modes, plan.landing))
+        simulation = self._flight.simulation
         mav_type, mix = mav_type_and_mix(simulation)
         hil = HilPacker(simulation.board, mav_type=mav_type)
         stretches = open_stretches(simulation, hil, self._passage)
@@ -296,7 +260,7 @@ class AutopilotRun:
             deadline = ConnectionDeadline(running.links[0], running.process, CONNECT_TIMEOUT_S)
             lockstep = Lockstep()
             sender = AutopilotSender(
-                self.flight,
+                self._flight,
                 hil,
                 self._deliver,
                 self._step_operator,
@@ -344,13 +308,6 @@ class AutopilotRun:
             "texts": [[round(t_us * 1e-6, 3), text] for t_us, text in operator.texts],
         }
 
-    def edit_lines(self, folder: Path) -> list[str]:
-        """Describe the live edits, without the loading of the schedule."""
-        edits = [
-            edit for edit in read_edits(folder / EDITS) if edit.payload != self._loaded_schedule
-        ]
-        return describe_edits(edits, self.flight.core.clock.t0_us or 0)
-
     def _deliver(self, sends: list[Send]) -> None:
         for send in sends:
             if send.link == GROUND and not is_lockstep_traffic(send.data):
@@ -363,31 +320,25 @@ class AutopilotRun:
                     if isinstance(item, Frame):
                         self._operator.receive(item)
 
-    def _add_results(self, results: list[Any]) -> None:
-        self.results += results
-        if self._bus_session is not None:
-            self._bus_session.publish_results(results)
-
     def _step_operator(self) -> list[bytes]:
         """Return the operator's frames and write the logs when due; called before each step."""
-        if self._bus_session is not None:
-            self._bus_session.serve()
-        t_us = self.flight.vehicle_us
+        self._session.serve()
+        t_us = self._flight.vehicle_us
         self._startup_pacer.wait_for_pace(t_us)
         frames: list[bytes] = []
         if t_us >= self._operator_us:
             self._operator_us = t_us + OPERATOR_PERIOD_US
-            on_ground = self.flight.simulation.truth.on_ground
+            on_ground = self._flight.simulation.truth.on_ground
             # Before the first timestamp there is no vehicle time.
             started = self._startup_pacer.finished
             frames = self._operator.step(t_us, on_ground=on_ground, started=started) if t_us else []
-        if self._loaded_schedule is None and self._count_from in self._operator.events_us:
+        if self._session.loaded_schedule is None and self._count_from in self._operator.events_us:
             self._begin_schedule(t_us)
         if self._phase != self._operator.phase:
             self._phase = self._operator.phase
             self._progress.say(f"{t_us * 1e-6:8.1f} s {self._phase}")
         # Ctrl-C is handled here too: the logs are complete between two writes.
-        if self.flight.t_us - self._recorded_us >= RECORD_PERIOD_US:
+        if self._flight.t_us - self._recorded_us >= RECORD_PERIOD_US:
             self._record()
             if self._stop():
                 raise FlightOverError("stopped")
@@ -398,32 +349,28 @@ class AutopilotRun:
     def _begin_schedule(self, t_us: int) -> None:
         """Load the schedule, its times counted from now; the edit log lets a replay repeat it."""
         # The schedule counts from the first timestamp; the event is this much later.
-        offset_s = (t_us - (self.flight.core.clock.t0_us or t_us)) * 1e-6
+        offset_s = (t_us - (self._flight.core.clock.t0_us or t_us)) * 1e-6
         entries = [
             (entry, 0.0 if "from" in entry.written else offset_s) for entry in self._schedule.faults
         ]
-        self._loaded_schedule = write_schedule(self._schedule.seed, entries)
-        text = self._loaded_schedule.encode()
-        at_us = self._edit_log.begin(self.flight.now_us)
-        self.flight.control.answer(LOAD_TOPIC, text, at_us)
-        self._edit_log.note(LOAD_TOPIC, text, at_us)
+        text = write_schedule(self._schedule.seed, entries)
+        self._session.loaded_schedule = text
+        edit_log = self._session.edit_log
+        at_us = edit_log.begin(self._flight.now_us)
+        self._flight.control.answer(LOAD_TOPIC, text.encode(), at_us)
+        edit_log.note(LOAD_TOPIC, text.encode(), at_us)
 
     def _record(self) -> None:
-        self._recorded_us = self.flight.t_us
-        labels = self.flight.drain_labels()
+        self._recorded_us = self._flight.t_us
         if self._passage is not None:
             self._passage.count()
-        sent = bytes(self.flight.capture.sent)
-        self._recorder.write(self.flight.capture, labels, self._edit_log.drain())
+        sent = bytes(self._flight.capture.sent)
+        self._session.record()
         # A live viewer must not wait for a full batch of results.
-        self._add_results(self._monitor.feed(sent, now=self._bus_session is not None))
-        if self._bus_session is not None:
-            self._bus_session.publish_labels(labels)
+        self._session.deliver(self._session.monitor.feed(sent, now=self._viewed))
 
     def _close(self) -> None:
-        self._deliver(self.flight.core.finish(self.flight.now_us))
+        self._deliver(self._flight.core.finish(self._flight.now_us))
         self._record()
-        if self._bus_session is not None:
-            self._bus_session.close()
-        self._recorder.close(self.flight.core.clock.t0_us, self.flight.now_us)
-        self._progress.end(self.flight.t_us, time.monotonic())
+        self._session.close_logs()
+        self._progress.end(self._flight.t_us, time.monotonic())

@@ -21,7 +21,6 @@ from analysis.detection.compass.earth_field_detector import EarthFieldDetector
 from analysis.detection.compass.mean_turn_detector import MeanTurnDetector
 from analysis.detection.compass.turn_detector import TurnDetector
 from analysis.detection.detector_registry import BlockDetector, other_detectors
-from analysis.detection.receiver.frozen_fix import FrozenFixDetector
 from analysis.detection.sensors.instance_vote import InstanceVoteDetector
 from analysis.detection.sensors.jamming_detector import JammingDetector
 from analysis.detection.sensors.level_detector import LevelDetector
@@ -71,7 +70,6 @@ def monitor_detectors(config: MonitorConfig) -> dict[str, BlockDetector]:
         "turns": TurnDetector(),
         "mean-turns": MeanTurnDetector(),
         "earth-field": EarthFieldDetector(config.field_ned_gauss),
-        "frozen-fix": FrozenFixDetector(),
         "jamming": JammingDetector(),
         ACTUATORS: ActuatorDetector(config.actuators),
     }

@@ -327,6 +327,8 @@ class ActuatorResponse:
             self.isolated, self.since_result = pair, REPEAT_ISOLATED_BINS
         elif self.isolated != NO_HYPOTHESES and found.statistic < OUTLIER_STATISTIC:
             self.isolated, self.since_result = NO_HYPOTHESES, REPEAT_NOMINAL_BINS
+            # The end of a fault moves residual and command alike, which looks like a total loss.
+            self.regression.reset()
         pause = REPEAT_NOMINAL_BINS if self.isolated == NO_HYPOTHESES else REPEAT_ISOLATED_BINS
         if self.since_result < pause:
             return False

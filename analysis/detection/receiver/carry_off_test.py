@@ -55,7 +55,8 @@ def detect_carry_off(
     fix = fix_innovation(measurement, position, velocity, motion.p)
     windows = extend_windows(windows, motion.t_us, dt_s, phi, measurement.axes, fix)
     smooths = _receiver_smooths(receiver.latency, before, motion, measurement)
-    if _shows_impact(receiver.last_fix, segment) or smooths:
+    shaken = receiver.scatter.shaken_us == motion.t_us
+    if shaken or _shows_impact(receiver.last_fix, segment) or smooths:
         windows = windows._replace(doubt_us=motion.t_us, impact_us=motion.t_us)
     found = wrong_mps2 = None
     # Touching down stops a receiver, by a force that an IMU is often too slow to show.

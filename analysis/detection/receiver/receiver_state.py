@@ -2,9 +2,12 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from analysis.detection.receiver.carry_off_windows import CarryOffWindows
 from analysis.detection.receiver.fix_latency import Latency
-from analysis.detection.receiver.frozen_fix import FixRepeats
+from analysis.detection.receiver.imu_scatter import ImuScatter
+from analysis.detection.streams.fix_repeats import FixRepeats
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
@@ -24,12 +27,30 @@ class LastFix(NamedTuple):
     off_mps: Vector
 
 
+class DriftTrack(NamedTuple):
+    """How a receiver's position has moved beyond its velocities.
+
+    `d_m` (3,) is the sum so far, along north, east and down; `marks` are older means of it with
+    their times, the newest first; the open one has `mean_m` (3,) of `fixes` since `begun_us`
+    (0: none yet).
+    """
+
+    d_m: Vector = np.zeros(3)
+    marks: tuple[tuple[int, Vector], ...] = ()
+    begun_us: int = 0
+    mean_m: Vector = np.zeros(3)
+    fixes: int = 0
+
+
 class ReceiverState(Value, frozen=True):
     """The receiver in use: the message its fixes come in, the last fix, how late they are, how
-    often they repeat, and the windows that look for a slow carry-off (None: they begin anew)."""
+    often they repeat, how its position drifts, how the IMU scatters between its fixes, and the
+    windows that look for a slow carry-off (None: they begin anew)."""
 
     source: str | None = None
     last_fix: LastFix | None = None
     latency: Latency = Latency()
     repeats: FixRepeats = FixRepeats()
+    drift: DriftTrack = DriftTrack()
+    scatter: ImuScatter = ImuScatter()
     windows: CarryOffWindows | None = None

@@ -24,7 +24,8 @@ from analysis.detection.receiver.carry_off_test import (
     estimate_carry_off,
     is_still_carried_off,
 )
-from analysis.detection.receiver.carry_off_windows import remove_carry_off
+from analysis.detection.receiver.carry_off_windows import SETTLED_US, remove_carry_off
+from analysis.detection.receiver.drift_return import follow_drift, has_returned, release_position
 from analysis.detection.receiver.fix_latency import (
     append_interval,
     compensate_latency,
@@ -32,8 +33,8 @@ from analysis.detection.receiver.fix_latency import (
     mean_acceleration,
     update_latency,
 )
-from analysis.detection.receiver.frozen_fix import fix_values
 from analysis.detection.receiver.heading import limit_heading_update
+from analysis.detection.receiver.imu_scatter import update_scatter
 from analysis.detection.receiver.position_test import (
     VELOCITY_SIGMA_MPS,
     FixMeasurement,
@@ -54,6 +55,7 @@ from analysis.detection.stages.epoch_outcome import update_suspension
 from analysis.detection.stages.fix_record import RECEIVER, build_fix_decision, fix_sensor_decisions
 from analysis.detection.stages.predict import Prediction, predict
 from analysis.detection.statistics.chi_square import chi_square_threshold
+from analysis.detection.streams.fix_repeats import fix_values
 from analysis.results import Result
 from analysis.samples.sample import GpsFix, Vector
 
@@ -113,9 +115,15 @@ def _run_stages(
     dt_s, receiver = prediction.dt_s, core.receiver
     acceleration = mean_acceleration(before, motion, measurement.axes)
     latency = append_interval(receiver.latency, dt_s, acceleration)
-    receiver = receiver._replace(latency=latency)
     measurement = compensate_latency(measurement, motion, latency)
     tests = run_fix_tests(measurement, motion, config)
+    drift = follow_drift(receiver.drift, receiver.last_fix, measurement, motion.t_us)
+    jumps = not (tests[0].passes or core.trust.excluded) and tests[1] is not None
+    if jumps and has_returned(receiver.drift, drift, measurement, motion.t_us):
+        motion = release_position(motion, tests[0].v)
+        tests = run_fix_tests(measurement, motion, config)
+    scatter = update_scatter(receiver.scatter, segment, motion.t_us)
+    receiver = receiver._replace(latency=latency, drift=drift, scatter=scatter)
     core = core._replace(receiver=receiver)
     hypothesis, alarm = _isolate(core, measurement, motion, segment, tests, config)
     filters, trusted = (before, motion, prediction.transition), not core.trust.excluded
@@ -192,7 +200,8 @@ def _isolate(
         return "gps", True
     if agrees:
         faulty = isolate_receiver_or_imu(last, measurement, motion, velocity, segment, config)
-        return faulty, True
+        shaken = motion.t_us - core.receiver.scatter.shaken_us < SETTLED_US
+        return (UNDECIDED if shaken and faulty == "gps" else faulty), True
     return ("gps", True) if position.passes else ("multiple-unknown", True)
 
 

@@ -9,11 +9,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+from analysis.detection.streams.fix_repeats import FixRepeats
 from analysis.detection.streams.stream_rate import StreamRate
-from analysis.samples.block import FIX_VELOCITY, NEVER_US, SOURCES
+from analysis.samples.block import FIX_3D, FIX_TYPE, NEVER_US, SOURCES
 
 OWN_SOURCE = SOURCES.index("HIL_GPS")
-FIX_NUMBERS, MOVING_MPS = 5, 1.0  # of a fix: position and level velocity together, while it moves
+FIX_NUMBERS = 5  # of a fix: position and level velocity
 
 # samples after which a stream and its values are known, chosen
 LEARNED_SAMPLES, LEARNED_VALUES = 20, 200
@@ -76,6 +77,7 @@ class SampleStream:
     rate: StreamRate = field(default_factory=StreamRate)
     numbers: list[_Number] = field(default_factory=lambda: [_Number() for _ in range(6)])
     source: float = math.nan  # of a fix
+    repeats: FixRepeats = field(default_factory=FixRepeats)
 
     def may_report(self, t_us: int) -> bool:
         """Whether the last report is old enough; the new one then counts as the last."""
@@ -111,7 +113,7 @@ class SampleStream:
             return True
         if source != OWN_SOURCE and not math.isnan(self.source):
             return False
-        self.source, self.count = source, 0
+        self.source, self.count, self.repeats = source, 0, FixRepeats()
         return True
 
     def repetition_us(self, values: Sequence[float], t_us: int) -> int:
@@ -134,15 +136,8 @@ class SampleStream:
         return worst_us
 
     def fix_repetition_us(self, values: Sequence[float], t_us: int) -> int:
-        """Repetition of a fix, whose numbers repeat together, tested only while it moves."""
-        same = True
-        for number, value in zip(self.numbers, values[:FIX_NUMBERS], strict=False):
-            same &= value == number.value
-            number.value = value
-        run = self.numbers[0]
-        if not same or not math.hypot(*values[FIX_VELOCITY:FIX_NUMBERS]) > MOVING_MPS:
-            run.since_us, run.run = t_us, 0
-            return 0
-        run.run += 1
-        for_us = t_us - run.since_us
-        return for_us if run.run >= FROZEN_STAMPS and for_us >= RUN_US else 0
+        """For how long a fix, whose numbers repeat together, has repeated beyond its past."""
+        if values[FIX_TYPE] >= FIX_3D:
+            known = tuple(0.0 if math.isnan(value) else value for value in values[:FIX_NUMBERS])
+            self.repeats = self.repeats.updated(t_us, known)
+        return t_us - self.repeats.since_us if self.repeats.frozen else 0

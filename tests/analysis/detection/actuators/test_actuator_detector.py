@@ -9,8 +9,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from analysis.detection.actuators.actuator_detector import ActuatorDetector
+from analysis.detection.actuators.actuator_detector import ActuatorDetector, _initial_state
+from analysis.detection.actuators.actuator_hypotheses import NO_HYPOTHESIS, ActuatorHypothesis
 from analysis.detection.actuators.alarm_precedence import CRASHED
+from analysis.detection.actuators.response_regression import NO_HYPOTHESES
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.results import Decision, Result, SensorDecision
@@ -356,3 +358,15 @@ def test_impossible_values_are_ignored(absurd: float) -> None:
     found, _ = detector.step(_flying(block_of(samples)), detector.new_state())
     assert len(found) == 5
     assert not any(result.alarm for _, result in found)
+
+
+def test_the_end_of_a_fault_is_no_evidence_of_another() -> None:
+    """Residual and command drop together as a motor recovers, which is what a total loss does."""
+    response = _initial_state(setup_of("quad").monitor.actuators)
+    regression = response.regression
+    response.isolated = (NO_HYPOTHESIS, 0)
+    regression.own[0], regression.shared[0], regression.weight = 8e4, 7.9e4, 18.0
+    response._update_isolation(ActuatorHypothesis(statistic=1.0))
+    assert response.isolated == NO_HYPOTHESES
+    assert regression.weight == 0.0
+    assert not regression.shared.any()

@@ -7,7 +7,7 @@ import pytest
 
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run_detector
-from analysis.detection.receiver.frozen_fix import FrozenFixDetector
+from analysis.detection.streams.stream_detector import StreamDetector
 from analysis.results import Decision, SensorDecision
 from analysis.samples.block import Block, block_of
 from analysis.samples.sample import GpsFix, ImuSample, MagSample, Sample
@@ -31,7 +31,7 @@ def hover(noise_m: float = 0.1, every_s: float = 0.2, twice: bool = False) -> Bl
 
 
 def alarms(*blocks: Block) -> list[SensorDecision]:
-    watch = FrozenFixDetector()
+    watch = StreamDetector()
     state, found = watch.new_state(), []
     for block in blocks:
         results, state = watch.step(block, state)
