@@ -126,10 +126,7 @@ def _chains(folder: Path) -> list[list[Step]]:
         _step(name, folder, "search", "--budget", "8", "--workers", "1") for name in ESTIMATORS
     ]
     other = [_step("multirotor", folder, "run", "--zenoh", "off")]
-    proxied = [
-        Step("the proxy's machine code", _make_object_file),
-        Step("stretches", partial(_make_stretches, folder / "multirotor.yaml")),
-    ]
+    proxied = [Step("the proxy's machine code", _make_object_file)]
     return [longest, searches, other, proxied]
 
 
@@ -143,21 +140,6 @@ def _make_object_file() -> None:
     from mavproxy_fault.compiled import object_file
 
     object_file.make()
-
-
-def _make_stretches(scenario: Path) -> None:
-    from analysis.autopilots.stretches import open_stretches
-    from analysis.run.proxied_flight import ProxiedFlight
-    from mavproxy_fault.compiled.passage import new_passage
-    from mavproxy_fault.schedule.entries import Schedule
-    from simvehicle.hil.hil_frames import HilPacker
-    from simvehicle.scenario.scenario_file import read_scenario
-
-    flight = ProxiedFlight(read_scenario(scenario), Schedule(0, ()))
-    # Made, not flown: for that an autopilot would have to answer.
-    simulation = flight.simulation
-    passage = new_passage(flight.core, flight.capture)
-    open_stretches(simulation, HilPacker(simulation.board), passage)
 
 
 def _carry_out_chain(chain: Sequence[Step]) -> None:

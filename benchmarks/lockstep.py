@@ -18,7 +18,6 @@ from pathlib import Path
 
 from analysis.autopilots.autopilot_run import real_time_priority
 from analysis.autopilots.hil_exchange import AutopilotReceiver, AutopilotSender, ConnectionDeadline
-from analysis.autopilots.stretches import open_stretches
 from analysis.run.proxied_flight import ProxiedFlight
 from mavproxy_fault.compiled.passage import new_passage
 from mavproxy_fault.links.tcp import TcpServer
@@ -68,26 +67,22 @@ def answer(port: int, steps: int) -> None:
                     number += 1
 
 
-def fly(path: Path, steps: int, schedule: dict, *, alone: bool) -> tuple[float, float]:
+def fly(path: Path, steps: int, schedule: dict) -> tuple[float, float]:
     """Fly so many steps; return the wall and the processor time of one [us]."""
     flight = ProxiedFlight(read_scenario(path), parse_schedule(schedule))
     passage = new_passage(flight.core, flight.capture)
     simulation, lockstep = flight.simulation, Lockstep(timeout_s=20.0)
     lockstep.locked = True
-    hil, stretches = packer_and_stretches(simulation, passage, alone=alone)
+    hil = HilPacker(simulation.board)
     sender = AutopilotSender(flight, hil, lambda _: None, passage=passage)
     with closing(TcpServer("127.0.0.1", 0)) as server:
         peer = multiprocessing.get_context("fork").Process(target=answer, args=(server.port, steps))
         peer.start()
         deadline = ConnectionDeadline(server, None, 20.0)
         receiver = AutopilotReceiver(sender, [server], deadline, lockstep)
-        if stretches is not None:
-            assert stretches.join(sender, receiver, lockstep)
         mix = mav_type_and_mix(simulation)[1]
         progress = Progress(0.0, StringIO())
-        loop = LockstepLoop(
-            simulation, sender, receiver, mix, math.inf, progress, lockstep, stretches
-        )
+        loop = LockstepLoop(simulation, sender, receiver, mix, math.inf, progress, lockstep)
         wall_s, spent_s = time.perf_counter(), time.thread_time()
         with suppress(PeerGoneError, ConnectionResetError), real_time_priority():
             loop.run()
@@ -96,25 +91,18 @@ def fly(path: Path, steps: int, schedule: dict, *, alone: bool) -> tuple[float, 
     return wall_s / steps * 1e6, spent_s / steps * 1e6
 
 
-def packer_and_stretches(simulation, passage, *, alone):  # type: ignore[no-untyped-def]
-    """The packer, and what flies without the interpreter."""
-    hil = HilPacker(simulation.board)
-    return hil, None if alone else open_stretches(simulation, hil, passage)
-
-
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--steps", type=int, default=10_000)
     parser.add_argument("--faults", action="store_true")
-    parser.add_argument("--interpreted", action="store_true", help="without stretches")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "scenario.yaml")
         path.write_text(SCENARIO)
         schedule = FAULTS if args.faults else {}
-        fly(path, 1_000, schedule, alone=args.interpreted)  # compiles
-        tries = [fly(path, args.steps, schedule, alone=args.interpreted) for _ in range(5)]
+        fly(path, 1_000, schedule)  # compiles
+        tries = [fly(path, args.steps, schedule) for _ in range(5)]
     wall_us, spent_us = (min(column) for column in zip(*tries, strict=True))
     print(f"{wall_us:.0f} us a step, {spent_us:.0f} us of processor time")
 

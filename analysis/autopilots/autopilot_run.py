@@ -34,7 +34,6 @@ from analysis.autopilots.hil_exchange import (
 from analysis.autopilots.operator_commands import OperatorCommands
 from analysis.autopilots.px4 import px4_process
 from analysis.autopilots.running_autopilot import RunningAutopilot, StartupPacer
-from analysis.autopilots.stretches import open_stretches
 from analysis.report.curves.fault_effects import deviation_curves
 from analysis.report.curves.recording import Signal
 from analysis.report.run_folder import make_folder
@@ -254,7 +253,6 @@ class AutopilotRun:
         simulation = self._flight.simulation
         mav_type, mix = mav_type_and_mix(simulation)
         hil = HilPacker(simulation.board, mav_type=mav_type)
-        stretches = open_stretches(simulation, hil, self._passage)
         with launch as running:
             self._startup_pacer = StartupPacer(running)
             deadline = ConnectionDeadline(running.links[0], running.process, CONNECT_TIMEOUT_S)
@@ -277,7 +275,6 @@ class AutopilotRun:
                 speed,
                 self._progress,
                 lockstep,
-                stretches if stretches and stretches.join(sender, receiver, lockstep) else None,
             )
             reason = ""
             try:

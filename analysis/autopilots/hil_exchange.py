@@ -127,23 +127,6 @@ class AutopilotSender:
             self._route_all(self.receive(SIMULATOR, data), out)
         return out
 
-    def finish_packed(self, data: bytes) -> list[bytes]:
-        """Finish what a stretch has begun with a step's frames."""
-        assert self._passage is not None
-        out: list[bytes] = []
-        self.step_us = None
-        self._route_all(self._passage.finish(SIMULATOR, data, self.flight.now_us), out)
-        return out
-
-    def note_step(self, step_us: int) -> None:
-        """Note that a stretch has sent a step with this timestamp."""
-        self.step_us, self._step_sent = step_us, True
-
-    @property
-    def has_pending(self) -> bool:
-        """Whether frames wait to leave before the next step, or have returned for the plant."""
-        return bool(self._proxy_answers or self._pending_commands or self.returned)
-
     def _send_pending(self, out: list[bytes]) -> None:
         """Send them one by one: frames of one datagram leave together, but on different links."""
         answers, pending = self._proxy_answers, self._pending_commands
@@ -290,7 +273,6 @@ class AutopilotReceiver:
         self.link = links[0]
         self._sender, self._connection_deadline, self._lockstep = sender, deadline, lockstep
         self._inboxes = [Inbox(link) for link in links]
-        self._pushed_chunks: list[Chunk] = []  # of the HIL link, read by a stretch
 
     def frames(self, wait_s: float = 0.0) -> list[Frame]:
         """Return received frames that have left the proxy for the simulator."""
@@ -298,29 +280,12 @@ class AutopilotReceiver:
         sender = self._sender
         sender.work_between_steps()
         found, sender.returned = sender.returned, []
-        if self._pushed_chunks:
-            given, self._pushed_chunks = self._pushed_chunks, []
-            self._read(self._inboxes[0], given, found)
-            return found
         by_fd = {fd: inbox for inbox in self._inboxes for fd in inbox.link.filenos()}
         ready, _, _ = select.select(by_fd, (), (), wait_s)
         # One link per call, the HIL link first: the others wait until the step has left.
         for inbox in [by_fd[descriptor] for descriptor in ready[:1]]:
             self._read(inbox, inbox.link.read(), found)
         return found
-
-    def push_bytes(self, stream: int, data: bytes) -> None:
-        """Take bytes of the HIL link that a stretch has read."""
-        self._pushed_chunks.append((stream, data))
-
-    def incomplete(self, stream: int) -> bool:
-        """Whether a stream of the HIL link ends within a frame."""
-        return self._inboxes[0].incomplete(stream)
-
-    def read_telemetry(self) -> None:
-        """Read the links other than the HIL link, and return the simulator's frames to it."""
-        for inbox in self._inboxes[1:]:
-            self._read(inbox, inbox.link.read(), self._sender.returned)
 
     def _read(self, inbox: Inbox, chunks: Sequence[Chunk], found: list[Frame]) -> None:
         for stream, data in chunks:
@@ -329,14 +294,11 @@ class AutopilotReceiver:
             if sum(map(len, raws)) < len(data) or not data:
                 raws = [frame.raw for frame in inbox.parsed(stream, data)]
             whole = b"".join(raws)
-            if whole:
-                self.route_received(whole, self._sender.receive(VEHICLE, whole), found)
-
-    def route_received(self, data: bytes, sends: Sequence[Send], found: list[Frame]) -> None:
-        """Note the answers among the autopilot's frames, and route what leaves of them."""
-        for raw in split_frames(data):
-            if is_step_reply(raw):  # as received: a fault may change the timestamp
-                frame = Frame(raw, STEP_REPLY)
-                self._lockstep.received(int(frame.number("time_usec")), time.monotonic())
-        for send in sends:
-            self._sender.route_send(send, found, data)
+            if not whole:
+                continue
+            for raw in raws:
+                if is_step_reply(raw):  # as received: a fault may change the timestamp
+                    frame = Frame(raw, STEP_REPLY)
+                    self._lockstep.received(int(frame.number("time_usec")), time.monotonic())
+            for send in self._sender.receive(VEHICLE, whole):
+                self._sender.route_send(send, found, whole)

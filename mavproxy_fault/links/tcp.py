@@ -120,13 +120,6 @@ class TcpServer:
         """Return the descriptors of the listener and all connections."""
         return self._descriptors.filenos()
 
-    def lone_peer(self) -> tuple[int, int] | None:
-        """Return descriptor and stream of the only peer, provided its queue is empty."""
-        if len(self._peers) != 1:
-            return None
-        _, stream, number = next(iter(self._peers.values()))
-        return None if stream.has_pending else (stream.fileno, number)
-
     def read(self) -> list[Chunk]:
         """Accept peers, continue pending writes, and return received data."""
         chunks: list[Chunk] = []

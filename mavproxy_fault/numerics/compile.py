@@ -181,11 +181,6 @@ def compiled(function: Function) -> Function:
     return _jitted(function)
 
 
-def unlocked(function: Function) -> Function:
-    """Compile a function that waits: other threads of Python run meanwhile."""
-    return _jitted(function, nogil=True)
-
-
 def inlined(function: Function) -> Function:
     """Compile a function for compiled callers, always inlined, so that their loops vectorise."""
     return _jitted(function, forceinline=True)

@@ -1,8 +1,7 @@
 """The loop that runs the simulation with an autopilot on the HIL link, in lockstep."""
 
-import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from mavproxy_fault.links.link import Link
@@ -60,17 +59,6 @@ class FrameSource(Protocol):
         """The frames received since the last call; waits at most `wait_s` for the first."""
 
 
-class Stretcher(Protocol):
-    """Runs stretches of steps in compiled code instead of the loop."""
-
-    def fly(self, controls: Controls, flown: Callable[[Truth], None]) -> Controls:
-        """Step until a step needs the loop; the answer to that step is still outstanding.
-
-        Takes the controls of the last answer, returns those of the newest one, and calls `flown`
-        with the current truth from time to time.
-        """
-
-
 class PeerGoneError(RuntimeError):
     """The autopilot closed the link."""
 
@@ -91,8 +79,6 @@ class LockstepLoop:
         Multiple of real time; infinite for as fast as the autopilot answers.
     lockstep : Lockstep, optional
         A `Lockstep` shared with other code that receives answers.
-    stretches : Stretcher, optional
-        Runs stretches of steps at full speed while the autopilot answers.
 
     Attributes
     ----------
@@ -112,7 +98,6 @@ class LockstepLoop:
         speed: float,
         progress: Progress,
         lockstep: Lockstep | None = None,
-        stretches: Stretcher | None = None,
     ) -> None:
         self.t_us = 0
         self.lockstep = lockstep or Lockstep()
@@ -126,7 +111,6 @@ class LockstepLoop:
         # Until PX4's first answer
         self._controls = Controls(mix([0.0] * CHANNEL_COUNT), armed=False)
         self._speed = speed
-        self._stretches = stretches if math.isinf(speed) else None
         self._locked = False
         self._pace = Pace(min(speed, 1.0))
         self._answer_due_s: float | None = None  # of the first answer; None once reported
@@ -176,21 +160,14 @@ class LockstepLoop:
         now_s = time.monotonic()
         self.lockstep.sent(self._hil.step_us, now_s)
         # The rest runs while the autopilot computes its answer.
-        self._update_truth(truth)
+        self._battery.update(truth)
         self._simulation.prepare()
-        if self._stretches is not None and self._locked:
-            self._controls = self._stretches.fly(self._controls, self._update_truth)
-            now_s = time.monotonic()
         self._await_answer()
         if self._answer_due_s is not None and now_s > self._answer_due_s:
             self._answer_due_s = None
             if not self.lockstep.answered:
                 self._progress.say(f"no answer for {FIRST_ANSWER_TIMEOUT_S:g} s; {self.unanswered}")
         self._progress.step(self.t_us, now_s, "" if self._locked else self.unlocked)
-
-    def _update_truth(self, truth: Truth) -> None:
-        self.t_us = truth.t_us
-        self._battery.update(truth)
 
     def _await_answer(self) -> None:
         """Receive frames until the step is answered or timed out and the pace allows the next."""

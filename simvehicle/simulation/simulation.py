@@ -49,7 +49,6 @@ from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.rigidbody_kernel import RIGID_SIZE, P, U
 from simvehicle.vehicles.vehicle import VOLTS
 
-NEVER_US = 2**62  # of an event that never comes
 _WIND_PLANT_NAMES = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
 
 
@@ -181,16 +180,6 @@ class Simulation:
             for fitted in self.compiled_sensors:
                 fitted.refill()
         step_kernel.prepare(self.board.flight)
-
-    def quiet_until_us(self) -> int:
-        """The time before which a step consists of compiled code alone, if no block of random
-        numbers is used up."""
-        if self.packed is None or not isinstance(self.terrain, LevelGround):
-            return 0
-        ends = [one.due_us for one in self.onboard_sensors]
-        ends += [float(one.record["due_us"]) for one in self._late]
-        ends += [self._delayed[0][0]] if self._delayed else []
-        return math.ceil(min(ends, default=NEVER_US))
 
     def _checked(self, controls: Controls) -> Array:
         values = controls.values
