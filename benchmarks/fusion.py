@@ -50,8 +50,9 @@ from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from mavproxy_fault.schedule.entries import Schedule
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
+from simvehicle.gnss.constellation import build_constellation
 from simvehicle.gnss.gnss_config import GnssConfig
-from simvehicle.gnss.gnss_sensor import gnss_sensor
+from simvehicle.gnss.gnss_sensor import GnssSensor
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "analysis"))
 import conftest  # the tests' flight
@@ -511,7 +512,7 @@ def hour(seconds: float, every: int) -> Iterable[Sample]:
         [*imu, *[s for s in period if isinstance(s, TruthSample)][::every]], key=lambda s: s.t_us
     )
     rng = np.random.default_rng(3)
-    gnss = gnss_sensor(GnssConfig(), conftest.LAT, conftest.LON)
+    gnss = GnssSensor(GnssConfig(), build_constellation(GnssConfig(), conftest.LAT, conftest.LON))
     state = gnss.new_state(rng)
     for turn in range(round(seconds / PERIOD_S)):
         shift_us = round(turn * PERIOD_S * 1e6)

@@ -14,8 +14,9 @@ import numpy as np
 from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris
 from mavproxy_fault.rtcm.msm7 import decode_msm7, encode_epoch, patch_msm7
 from mavproxy_fault.rtcm.transport import tunnel_frames
+from simvehicle.gnss.constellation import build_constellation
 from simvehicle.gnss.gnss_config import GnssConfig
-from simvehicle.gnss.gnss_sensor import gnss_sensor
+from simvehicle.gnss.gnss_sensor import GnssSensor
 from simvehicle.sensors.readings import EphemerisReading, PseudorangeReading, Reading
 from simvehicle.vehicles.body import Truth
 
@@ -47,7 +48,7 @@ class Flight:
     """A sensor that goes on epoch by epoch."""
 
     def __init__(self) -> None:
-        self.sensor = gnss_sensor(GnssConfig(), *HOME)
+        self.sensor = GnssSensor(GnssConfig(), build_constellation(GnssConfig(), *HOME))
         self.rng = np.random.default_rng(1)
         self.state = self.sensor.new_state(self.rng)
         self.t_us = 0

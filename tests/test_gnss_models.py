@@ -13,9 +13,9 @@ from mavproxy_fault.numerics.earth import ecef_from_geodetic, rot_en
 from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris
 from mavproxy_fault.rtcm.msm7 import decode_msm7, encode_epoch
 from simvehicle.gnss.gnss_config import ClockConfig, GnssConfig
-from simvehicle.gnss.gnss_sensor import gnss_sensor
 from simvehicle.sensors.readings import EphemerisReading, PseudorangeReading
 from simvehicle.vehicles.body import Truth
+from tests.simvehicle.gnss.gnss_parts import gnss_sensor
 
 HOME = (math.radians(40.2), math.radians(-111.7))
 V_NED = np.array([20.0, -15.0, 3.0])

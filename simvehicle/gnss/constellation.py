@@ -13,6 +13,7 @@ from datetime import datetime
 from pathlib import Path
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.rinex.gps_clock import WEEK_S, gps_time
 from mavproxy_fault.rtcm.ephemeris_messages import (
     SEMICIRCLE,
     Ephemeris,
@@ -20,13 +21,7 @@ from mavproxy_fault.rtcm.ephemeris_messages import (
     encode_ephemeris,
 )
 from simvehicle.gnss.gnss_config import GnssConfig
-from simvehicle.gnss.navigation_file import (
-    SHIPPED,
-    WEEK_S,
-    NavigationData,
-    gps_time,
-    read_navigation,
-)
+from simvehicle.gnss.navigation_file import SHIPPED, NavigationData, read_navigation
 
 SHIPPED_TIME = datetime(2021, 3, 19, 12, 0, 0)
 SHIPPED_LON_RAD = math.radians(139.522)  # of the site, which is 35.339 degrees north
@@ -83,27 +78,27 @@ class Constellation:
 
 
 def build_constellation(
-    config: GnssConfig, home_lat_rad: float, home_lon_rad: float, folder: Path | None = None
+    config: GnssConfig, home_lat_rad: float, home_lon_rad: float
 ) -> Constellation:
-    """Build the constellation of a scenario; relative file names start from `folder`.
+    """Build the constellation of a scenario.
 
     Raises
     ------
     ConfigError
         If the navigation file is invalid, or has no valid ephemeris at the start.
     """
-    path = SHIPPED if config.navigation is None else (folder or Path()) / config.navigation
+    path = SHIPPED if config.navigation is None else Path(config.navigation)
     navigation = read_navigation(path)
     if config.navigation is None:
         navigation = _rotate_over(navigation, home_lat_rad, home_lon_rad)
     letters = {SYSTEM_LETTERS[system] for system in config.systems}
     ephemerides = {n: sets for n, sets in navigation.ephemerides.items() if n[0] in letters}
-    if config.time is not None:
-        week, start_s = gps_time(config.time.replace(tzinfo=None))
-    elif config.navigation is None:
-        week, start_s = gps_time(SHIPPED_TIME)
-    else:
-        week, start_s = _time_of_most_satellites(ephemerides)
+    week, start_s = _time_of_most_satellites(ephemerides)
+    time = config.time or (SHIPPED_TIME if config.navigation is None else None)
+    if time is not None:
+        midnight = time.replace(hour=0, minute=0, second=0, microsecond=0)
+        seconds = (time - midnight).total_seconds()
+        week, start_s = gps_time(time.year, time.month, time.day, seconds)
     constellation = Constellation(
         tuple(ephemerides),
         tuple(ephemerides.values()),

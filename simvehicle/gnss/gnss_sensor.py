@@ -5,20 +5,19 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.rinex.gps_clock import WEEK_S
 from mavproxy_fault.rtcm.ephemeris_messages import encode_ephemeris
 from mavproxy_fault.wire.plant_names import GROUPS, SATELLITE, SPOOF
-from simvehicle.gnss.constellation import Constellation, build_constellation
+from simvehicle.gnss.constellation import Constellation
 from simvehicle.gnss.gnss_config import GnssConfig
 from simvehicle.gnss.gnss_state import Broadcast, GnssState, SignalFaults
-from simvehicle.gnss.navigation_file import WEEK_S
-from simvehicle.gnss.pseudorange import Atmosphere
+from simvehicle.gnss.pseudorange import NO_COEFFICIENTS, Atmosphere
 from simvehicle.gnss.receiver import ReceiverFix, solve_receiver_fix
 from simvehicle.gnss.satellite_orbits import select_orbits, tabulate_orbits
 from simvehicle.gnss.signal_errors import (
@@ -47,19 +46,6 @@ LOST_ROW = 2  # the row of `SignalFaults.signals`, which are in the order of `SA
 PLANT_NAME = re.compile(rf"({'|'.join((*SATELLITE, *SPOOF))})\[([GE]\d\d|all|G|E)\]")
 
 
-def gnss_sensor(
-    config: GnssConfig, home_lat_rad: float, home_lon_rad: float, folder: Path | None = None
-) -> "GnssSensor":
-    """The GNSS sensor of a scenario; a relative navigation file name starts from `folder`.
-
-    Raises
-    ------
-    ConfigError
-        If the navigation file is invalid, or has no valid satellite at the start.
-    """
-    return GnssSensor(config, build_constellation(config, home_lat_rad, home_lon_rad, folder))
-
-
 @dataclass(frozen=True)
 class GnssSensor:
     """Pseudoranges, ephemerides and the receiver's solution of one antenna."""
@@ -79,8 +65,9 @@ class GnssSensor:
 
     @cached_property
     def _atmosphere(self) -> Atmosphere:
-        klobuchar = np.array(self.constellation.klobuchar) if self.config.ionosphere else None
-        return Atmosphere(klobuchar, self.config.troposphere)
+        klobuchar = np.array(self.constellation.klobuchar)
+        coefficients = klobuchar if self.config.ionosphere else NO_COEFFICIENTS
+        return Atmosphere(coefficients, self.config.troposphere)
 
     @cached_property
     def _levels(self) -> Vector:
@@ -102,13 +89,7 @@ class GnssSensor:
     @cached_property
     def _channel(self) -> SignalChannel:
         galileo = [name[0] == "E" for name in self.constellation.satellites]
-        atmosphere = self._atmosphere
-        return SignalChannel(
-            atmosphere.coefficients,
-            atmosphere.troposphere,
-            self._levels,
-            np.array(galileo, dtype=float),
-        )
+        return SignalChannel(*self._atmosphere, self._levels, np.array(galileo, dtype=float))
 
     def new_state(self, rng: np.random.Generator) -> GnssState:
         """The state at power-on."""

@@ -5,17 +5,14 @@ Galileo's F/NAV, whose clock is for E1 and E5a.
 """
 
 from dataclasses import dataclass
-from datetime import datetime, timedelta
 from pathlib import Path
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.rinex.gps_clock import WEEK_S
 from mavproxy_fault.rinex.navigation_record import kepler_ephemeris, read_navigation_file
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, decode_ephemeris, encode_ephemeris
 
 SHIPPED = Path(__file__).with_name("constellation.nav")
-
-GPS_EPOCH = datetime(1980, 1, 6)
-WEEK_S = 604_800.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +26,6 @@ class NavigationData:
     ephemerides: dict[str, tuple[Ephemeris, ...]]
     alpha: tuple[float, ...]
     beta: tuple[float, ...]
-
-
-def gps_time(time: datetime) -> tuple[int, float]:
-    """GPS week and seconds of week of a time in the GPS scale."""
-    seconds = (time - GPS_EPOCH) / timedelta(seconds=1)
-    week = int(seconds // WEEK_S)
-    return week, seconds - week * WEEK_S
 
 
 def read_navigation(path: Path) -> NavigationData:

@@ -9,8 +9,8 @@ References
 .. [1] IS-GPS-200N, 20.3.3.4.3.4; Ashby, Living Reviews in Relativity 6(1), 2003.
 """
 
-from dataclasses import dataclass
 from math import asin, atan2, cos, pi, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,17 +33,12 @@ GEOMETRY_ROWS = LINE_OF_SIGHT + 3
 LOWEST_ELEVATION_RAD = 3.0 * pi / 180.0  # the atmospheric models are not valid below
 
 
-@dataclass(frozen=True, slots=True)
-class Atmosphere:
-    """Atmospheric delays: Klobuchar coefficients (8,) or None, and whether the troposphere acts."""
+class Atmosphere(NamedTuple):
+    """Atmospheric delays: Klobuchar's coefficients (8,), none without an ionosphere, and whether
+    the troposphere acts."""
 
-    klobuchar: Vector | None
+    coefficients: Vector
     troposphere: bool
-
-    @property
-    def coefficients(self) -> Vector:
-        """The Klobuchar coefficients, or an empty array without an ionosphere."""
-        return NO_COEFFICIENTS if self.klobuchar is None else self.klobuchar
 
 
 @compiled

@@ -24,7 +24,7 @@ from simvehicle.gnss.pseudorange import (
     Atmosphere,
     signal_geometry,
 )
-from simvehicle.gnss.satellite_orbits import Orbits, satellite_states
+from simvehicle.gnss.satellite_orbits import Orbits, satellite_state
 
 Vector = NDArray[np.float64]
 
@@ -46,8 +46,8 @@ class ReceiverFix(msgspec.Struct, frozen=True):
 
     `fix_type` is MAVLink's: 0 no satellites, 1 no fix, 2 two-dimensional (one satellite too few:
     the height is fixed to the last one, or to the ellipsoid), 3 three-dimensional. Without a fix
-    the position is the last one (all zero if there was none), the velocity is zero, and `reason`
-    says why. `sigma_ned_m` (3,) is the receiver's own estimate.
+    the position is the last one (all zero if there was none), and the velocity is zero.
+    `sigma_ned_m` (3,) is the receiver's own estimate.
     """
 
     fix_type: int
@@ -56,12 +56,9 @@ class ReceiverFix(msgspec.Struct, frozen=True):
     lat_rad: float
     lon_rad: float
     height_m: float
-    v_ecef_mps: Vector
     v_ned_mps: Vector
     clock_m: Vector
-    drift_mps: float
     sigma_ned_m: Vector
-    reason: str = ""
 
 
 def solve_receiver_fix(
@@ -91,7 +88,7 @@ def solve_receiver_fix(
     # The unknowns are three coordinates and a clock per system.
     lacking = 3 + max(len(systems), 1) - count
     if lacking > 1:
-        return _no_fix(count, f"{count} satellites of {len(systems)} systems", last)
+        return _no_fix(count, last)
     clocks = np.array([[letter == system for system in systems] for letter in letters], float)
     # The last solution is a start only if its clocks are those of the same systems.
     near = last is not None and last.fix_type >= 2 and len(last.clock_m) == len(systems)
@@ -117,28 +114,27 @@ def solve_receiver_fix(
         # The first iterations are unweighted, as elevations need a position.
         step = _least_squares(design, residual, root if near else np.ones(len(root)))
         if step is None:
-            return _no_fix(count, "satellites in one plane", last)
+            return _no_fix(count, last)  # satellites in one plane
         x += step
         size_m = np.abs(step).max()
         if near and size_m < SMALL_STEP_M:
             break
         near = near or bool(size_m < CONVERGED_M)
     else:
-        return _no_fix(count, "no convergence", last)
+        return _no_fix(count, last)
     lat, lon, height_m = geodetic_position(x[:3])
     axes, weighted = ned_axes(lat, lon), design * root[:, None]
     covariance = axes @ np.linalg.inv(weighted.T @ weighted)[:3, :3] @ axes.T
     sigma = np.sqrt(np.diag(covariance))
     if math.hypot(sigma[0], sigma[1]) > (EPH_MAX_2D_M if lacking == 1 else EPH_MAX_M):
-        return _no_fix(count, "geometry too poor", last)
+        return _no_fix(count, last)
     # With an assumed height the vertical velocity is assumed zero.
     design, residual = np.column_stack([design[:, :3], np.zeros(len(root))]), np.zeros(len(root))
     design[:count, 3] = 1.0
     clock_rate_mps = SPEED_OF_LIGHT_MPS * geometry[SAT_CLOCK_RATE]
     residual[:count] = doppler_mps - geometry[RANGE_RATE] + clock_rate_mps
     motion = _least_squares(design, residual, root)
-    motion = np.zeros(4) if motion is None else motion
-    v_ecef_mps = motion[:3]
+    v_ecef_mps = np.zeros(3) if motion is None else motion[:3]
     return ReceiverFix(
         2 if lacking == 1 else 3,
         count,
@@ -146,10 +142,8 @@ def solve_receiver_fix(
         lat,
         lon,
         height_m,
-        v_ecef_mps,
         axes @ v_ecef_mps,
         x[3:],
-        float(motion[3]),
         sigma,
     )
 
@@ -171,11 +165,11 @@ def _known_height(last: ReceiverFix | None) -> tuple[float, float]:
 def _point_below_satellites(orbits: Orbits, tow_s: float) -> Vector:
     """Initial position (3,) on the Earth's surface, below the mean of the satellites."""
     # The mean of the satellites in view is roughly in the zenith.
-    middle = satellite_states(orbits, np.full(len(orbits.table), tow_s))[0].mean(axis=0)
+    middle = np.mean([satellite_state(row, tow_s)[:3] for row in orbits.table], axis=0)
     return np.asarray(EARTH_RADIUS_M * middle / np.linalg.norm(middle))
 
 
-def _no_fix(count: int, reason: str, last: ReceiverFix | None) -> ReceiverFix:
+def _no_fix(count: int, last: ReceiverFix | None) -> ReceiverFix:
     """A result without a fix; it keeps the last position."""
     still, unknown = np.zeros(3), np.full(3, np.inf)
     if last is None:
@@ -183,6 +177,4 @@ def _no_fix(count: int, reason: str, last: ReceiverFix | None) -> ReceiverFix:
     else:
         place, lat, lon, height = last.r_ecef_m, last.lat_rad, last.lon_rad, last.height_m
     fix_type = min(count, 1)
-    return ReceiverFix(
-        fix_type, count, place, lat, lon, height, still, still, np.zeros(0), 0.0, unknown, reason
-    )
+    return ReceiverFix(fix_type, count, place, lat, lon, height, still, np.zeros(0), unknown)

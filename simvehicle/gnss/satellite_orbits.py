@@ -12,22 +12,21 @@ import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
-from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.constants import (
     GNSS_EARTH_RATE_RPS,
     GPS_GM_M3PS2,
     SPEED_OF_LIGHT_MPS,
     WGS84_GM_M3PS2,
 )
+from mavproxy_fault.rinex.gps_clock import WEEK_S
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 Vector = NDArray[np.float64]
 State8 = tuple[float, float, float, float, float, float, float, float]
 
 MU_M3PS2 = {"G": GPS_GM_M3PS2, "E": WGS84_GM_M3PS2}
-WEEK_S = 604_800.0
 ROW_SIZE = 20  # columns of an orbit table, in the order of `_orbit_row`
-VELOCITY, CLOCK, CLOCK_RATE, STATE_SIZE = 3, 6, 7, 8  # start in a state, after the position
 KEPLER_STEPS = 4  # Newton: error below 1e-14 rad at the eccentricity 0.16 of E14 and E18
 
 
@@ -139,34 +138,3 @@ def satellite_state(row: Vector, tow_s: float) -> State8:
     clock = af0 + age * (af1 + age * af2) + relativity * se
     clock_rate = af1 + 2.0 * age * af2 + relativity * ce * anomaly_rate
     return px, py, pz, vx, vy, vz, clock, clock_rate
-
-
-@compiled
-def _states(table: Vector, tow_s: Vector) -> Vector:
-    out = np.empty((len(table), STATE_SIZE))
-    for k in range(len(table)):
-        state = satellite_state(table[k], tow_s[k])
-        for i in range(STATE_SIZE):
-            out[k, i] = state[i]
-    return out
-
-
-def satellite_states(orbits: Orbits, tow_s: Vector) -> tuple[Vector, Vector, Vector, Vector]:
-    """Positions, velocities and clock errors of the satellites.
-
-    Parameters
-    ----------
-    orbits : Orbits
-        Orbits of n satellites.
-    tow_s : (n,) array
-        GPS time, in seconds of the week `orbits.week`, for each of them.
-
-    Returns
-    -------
-    r_ecef_m, v_ecef_mps : (n, 3) arrays
-        Of the antenna phase centre, Earth-fixed at that time.
-    clock_s, clock_rate : (n,) arrays
-        See `satellite_state`.
-    """
-    out = _states(orbits.table, tow_s)
-    return out[:, :VELOCITY], out[:, VELOCITY:CLOCK], out[:, CLOCK], out[:, CLOCK_RATE]

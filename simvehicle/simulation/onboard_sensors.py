@@ -10,7 +10,8 @@ import numpy as np
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.magnetic_field import magnetic_field_gauss
-from simvehicle.gnss.gnss_sensor import gnss_sensor
+from simvehicle.gnss.constellation import build_constellation
+from simvehicle.gnss.gnss_sensor import GnssSensor
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.sensors.compiled_sensor import CompiledSensor
 from simvehicle.sensors.error_model import BLOCK
@@ -81,7 +82,8 @@ def create_onboard_sensors(
             found.append((f"{kind}{index}", sensor))
     if scenario.gnss is not None:
         home = math.radians(start.lat_deg), math.radians(start.lon_deg)
-        found.append(("gnss", gnss_sensor(scenario.gnss, *home)))
+        constellation = build_constellation(scenario.gnss, *home)
+        found.append(("gnss", GnssSensor(scenario.gnss, constellation)))
     fast = [each for each in found if isinstance(each[1], CompiledSensor)]
     records = np.zeros(len(fast), dtype=SENSOR)
     compiled = [

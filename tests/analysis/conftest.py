@@ -15,9 +15,9 @@ from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
 from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris
 from simvehicle.gnss.gnss_config import GnssConfig
-from simvehicle.gnss.gnss_sensor import gnss_sensor
 from simvehicle.sensors.readings import EphemerisReading, GpsReading, PseudorangeReading
 from simvehicle.vehicles.body import Truth
+from tests.simvehicle.gnss.gnss_parts import gnss_sensor
 
 LAT, LON, HEIGHT_M = math.radians(47.4), math.radians(8.55), 500.0
 STEP_US = 5000

@@ -16,7 +16,7 @@ from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris, encode_ephe
 from simvehicle.gnss.constellation import Constellation, build_constellation
 from simvehicle.gnss.gnss_config import GnssConfig, ReceiverConfig
 from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
-from simvehicle.gnss.pseudorange import SAT_ELEVATION, Atmosphere, signal_geometry
+from simvehicle.gnss.pseudorange import NO_COEFFICIENTS, SAT_ELEVATION, Atmosphere, signal_geometry
 from simvehicle.gnss.satellite_orbits import Orbits, tabulate_orbits
 
 PLACES = [(47.4, 8.5), (-35.4, 149.2), (40.2, -111.7), (0.0, 0.0), (-33.0, -70.0), (60.0, 179.9)]
@@ -38,7 +38,7 @@ def elevations(constellation: Constellation, lat_deg: float, lon_deg: float, at_
         constellation.start_s + at_s,
         place,
         np.zeros(3),
-        Atmosphere(None, False),
+        Atmosphere(NO_COEFFICIENTS, False),
     )
     return dict(zip([e.satellite for e in sets], np.degrees(seen[SAT_ELEVATION]), strict=True))
 
@@ -115,7 +115,7 @@ def test_systems_not_configured_are_left_out() -> None:
 
 def test_another_file_starts_where_most_of_its_satellites_are_valid(tmp_path: Path) -> None:
     (tmp_path / "own.nav").write_text(SHIPPED.read_text())
-    own = build_constellation(GnssConfig(navigation="own.nav"), 0.0, 0.0, tmp_path)
+    own = build_constellation(GnssConfig(navigation=str(tmp_path / "own.nav")), 0.0, 0.0)
     assert own.week == 2149
     assert all(k is not None for k in own.choose_ephemerides(own.start_s, [None] * 24))
     assert own.ephemerides == tuple(read_navigation(SHIPPED).ephemerides.values())

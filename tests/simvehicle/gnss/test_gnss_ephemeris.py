@@ -1,18 +1,15 @@
 """Satellite positions against precise orbits, and velocities against differences."""
 
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
-from simvehicle.gnss.navigation_file import SHIPPED, gps_time, read_navigation
-from simvehicle.gnss.satellite_orbits import (
-    satellite_states,
-    select_orbits,
-    tabulate_orbits,
-)
+from mavproxy_fault.rinex.gps_clock import time_of_words
+from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
+from simvehicle.gnss.satellite_orbits import select_orbits, tabulate_orbits
+from tests.simvehicle.gnss.gnss_parts import satellite_states
 
 PRECISE = Path(__file__).parents[2] / "authorities" / "code_orbits" / "orbits.sp3"
 NAVIGATION = read_navigation(SHIPPED)
@@ -24,7 +21,7 @@ def precise() -> list[tuple[str, float, np.ndarray, float]]:
     tow_s = 0.0
     for line in PRECISE.read_text().splitlines():
         if line[0] == "*":
-            tow_s = gps_time(datetime(*(int(x) for x in line.split()[1:6])))[1]
+            tow_s = time_of_words([*line.split()[1:6], "0"], "GPS")[1]
         else:
             x, y, z, clock = (float(v) for v in line[4:].split())
             rows.append((line[1:4], tow_s, np.array([x, y, z]) * 1e3, clock * 1e-6))

@@ -1,14 +1,13 @@
 """Reading navigation files."""
 
 import gzip
-from datetime import datetime
 from pathlib import Path
 
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rinex.navigation_record import sisa_index, ura_index
-from simvehicle.gnss.navigation_file import SHIPPED, NavigationData, gps_time, read_navigation
+from simvehicle.gnss.navigation_file import SHIPPED, NavigationData, read_navigation
 
 
 def shipped_lines() -> list[str]:
@@ -161,10 +160,6 @@ def test_a_missing_and_a_binary_file_are_named(tmp_path: Path) -> None:
     (tmp_path / "zip.nav").write_bytes(b"\x1f\x8b\xff\xfe")
     with pytest.raises(ConfigError, match=r"zip\.nav: is not a RINEX file"):
         read_navigation(tmp_path / "zip.nav")
-
-
-def test_gps_time_counts_from_1980() -> None:
-    assert gps_time(datetime(2021, 3, 19, 12)) == (2149, 475200.0)
 
 
 @pytest.mark.parametrize(

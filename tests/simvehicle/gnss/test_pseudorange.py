@@ -12,6 +12,7 @@ from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
 from simvehicle.gnss.pseudorange import (
     DELAY,
     LINE_OF_SIGHT,
+    NO_COEFFICIENTS,
     RANGE,
     RANGE_RATE,
     SAT_AZIMUTH,
@@ -20,13 +21,10 @@ from simvehicle.gnss.pseudorange import (
     Atmosphere,
     signal_geometry,
 )
-from simvehicle.gnss.satellite_orbits import (
-    Orbits,
-    satellite_states,
-    tabulate_orbits,
-)
+from simvehicle.gnss.satellite_orbits import Orbits, tabulate_orbits
+from tests.simvehicle.gnss.gnss_parts import satellite_states
 
-VACUUM = Atmosphere(None, False)
+VACUUM = Atmosphere(NO_COEFFICIENTS, False)
 TOW_S = 475200.0
 SITE_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # the real receiver's antenna
 REST = np.zeros(3)

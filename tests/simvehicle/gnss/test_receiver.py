@@ -7,6 +7,7 @@ import pytest
 
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
+from mavproxy_fault.numerics.earth_kernel import ned_axes
 from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
 from simvehicle.gnss.pseudorange import (
     DELAY,
@@ -57,10 +58,9 @@ def observed(orbits: Orbits) -> tuple[np.ndarray, np.ndarray]:
 def test_without_errors_position_velocity_and_clock_are_exact(letters: str) -> None:
     orbits = in_view(letters)
     fix = solve_receiver_fix(orbits, TOW_S, *observed(orbits), AIR)
-    assert (fix.fix_type, fix.satellites, fix.reason) == (3, len(orbits.satellites), "")
+    assert (fix.fix_type, fix.satellites) == (3, len(orbits.satellites))
     assert fix.r_ecef_m == pytest.approx(PLACE_M, abs=1e-4)
-    assert fix.v_ecef_mps == pytest.approx(MOTION, abs=1e-4)
-    assert fix.drift_mps == pytest.approx(DRIFT * SPEED_OF_LIGHT_MPS, abs=1e-4)
+    assert fix.v_ned_mps == pytest.approx(ned_axes(fix.lat_rad, fix.lon_rad) @ MOTION, abs=1e-4)
     first = OFFSET_S * SPEED_OF_LIGHT_MPS + (GALILEO_M if letters == "E" else 0.0)
     assert fix.clock_m[0] == pytest.approx(first, abs=1e-3)
     if letters == "GE":
@@ -86,15 +86,12 @@ def test_a_faulty_satellite_moves_the_position() -> None:
 
 
 @pytest.mark.parametrize(("letters", "count"), [("G", 2), ("E", 2), ("GE", 3), ("G", 1), ("GE", 0)])
-def test_too_few_satellites_give_no_fix_with_a_reason(letters: str, count: int) -> None:
+def test_too_few_satellites_give_no_fix(letters: str, count: int) -> None:
     every = in_view(letters)
-    names = every.satellites
     pick = [0, 1, -1, -2][:count] if letters == "GE" else list(range(count))
     orbits = select_orbits(every, np.array(pick, dtype=int))
     fix = solve_receiver_fix(orbits, TOW_S, *observed(orbits), AIR)
-    systems = len({names[k][0] for k in pick})
     assert fix.fix_type == (1 if count else 0)
-    assert fix.reason == f"{count} satellites of {systems} systems"
     assert np.isinf(fix.sigma_ned_m).all()
 
 
@@ -129,7 +126,6 @@ def test_the_same_satellite_five_times_is_no_geometry() -> None:
     orbits = select_orbits(in_view("G"), np.array([0, 0, 0, 0, 0]))
     fix = solve_receiver_fix(orbits, TOW_S, *observed(orbits), AIR)
     assert fix.fix_type == 1
-    assert fix.reason in ("satellites in one plane", "geometry too poor", "no convergence")
 
 
 def test_without_a_fix_the_last_position_is_kept() -> None:

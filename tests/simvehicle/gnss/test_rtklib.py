@@ -13,9 +13,9 @@ import pytest
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.rtcm.msm7 import encode_epoch
 from simvehicle.gnss.gnss_config import ClockConfig, GnssConfig
-from simvehicle.gnss.gnss_sensor import gnss_sensor
 from simvehicle.sensors.readings import EphemerisReading, PseudorangeReading
 from simvehicle.vehicles.body import Truth
+from tests.simvehicle.gnss.gnss_parts import gnss_sensor
 
 TOOLS = ("convbin", "rnx2rtkp")
 OPTIONS = """pos1-posmode=single
