@@ -3,7 +3,7 @@
 One lane at a time, without SIMD, so that the estimator behaves in a search as it does elsewhere.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,71 +35,44 @@ class Tunings(NamedTuple):
 
 
 @compiled
-def predict(
-    buf: Buffer, filters: FilterStates, airspeed: Buffer, kind: int, tunings: Tunings, dt: float
-) -> None:
-    """Every living lane's estimate after its IMU sample."""
-    room = ekf_kernel.new_workspace()
+def filter_step(buf: Buffer, filters: FilterStates, airspeed: Buffer, k: int, plan: Any) -> None:
+    """The filters' share of sample `k` > 0 of every living lane, by a `search_kernel.Plan`.
+
+    IMU, field, gravity where there has been no GPS for long, and GPS velocity, NaN where it never
+    came.
+    """
+    gains, tuning = plan.tunings
+    t_s, room = k * plan.dt_s, ekf_kernel.new_workspace()
+    heads, moves = k % plan.field_every == 0, k % plan.velocity_every == 0
     for lane in range(L):
-        if buf[ALIVE + lane] > 0.5:
-            imu = gather(buf, M, IMU_ID, lane)
-            if kind == MAHONY:
-                x = filters[lane, :SIZE]
-                filters[lane, :SIZE] = complementary.predict(
-                    x, imu[:FORCE], imu[FORCE:], airspeed[lane], dt, tunings.mahony
+        if buf[ALIVE + lane] < 0.5:
+            continue
+        x, imu = filters[lane], gather(buf, M, IMU_ID, lane)
+        field = gather(buf, FIELD, 3, lane) if heads else imu
+        if plan.estimator == MAHONY:
+            x[:SIZE] = complementary.predict(
+                x[:SIZE], imu[:FORCE], imu[FORCE:], airspeed[lane], plan.dt_s, gains
+            )
+            if heads:
+                x[:SIZE] = complementary.correct_heading(
+                    x[:SIZE], field, plan.declination_rad, plan.field_every * plan.dt_s, gains
                 )
-            else:
-                ekf_kernel.predict(filters[lane], imu, dt, tunings.ekf, room)
-
-
-@compiled
-def head(
-    buf: Buffer,
-    filters: FilterStates,
-    kind: int,
-    tunings: Tunings,
-    declination_rad: float,
-    dt: float,
-) -> None:
-    """Every living lane's estimate after its field sample, `dt` after the one before."""
-    room, variance = ekf_kernel.new_workspace(), tunings.ekf.heading_variance
-    for lane in range(L):
-        if buf[ALIVE + lane] > 0.5:
-            field = gather(buf, FIELD, 3, lane)
-            if kind == MAHONY:
-                x = filters[lane, :SIZE]
-                filters[lane, :SIZE] = complementary.correct_heading(
-                    x, field, declination_rad, dt, tunings.mahony
-                )
-            else:
-                ekf_kernel.correct_heading(filters[lane], field, declination_rad, variance, room)
-
-
-@compiled
-def velocity(buf: Buffer, filters: FilterStates, tuning: Tuning, t_s: float) -> None:
-    """Every living lane's EKF after its GPS velocity; one that is NaN never came."""
-    room, variance = ekf_kernel.new_workspace(), tuning.velocity_variance
-    for lane in range(L):
+            continue
+        ekf_kernel.predict(x, imu, plan.dt_s, tuning, room)
+        blind = t_s - x[HEARD] >= tuning.gps_timeout_s - ROUNDING_S
+        if blind and t_s - x[LEVELLED] >= tuning.gravity_period_s - ROUNDING_S:
+            ekf_kernel.correct_tilt(x, imu, airspeed[lane], tuning.gravity_variance, room)
+            x[LEVELLED] = t_s
+        if heads:
+            variance = tuning.heading_variance
+            ekf_kernel.correct_heading(x, field, plan.declination_rad, variance, room)
         seen = gather(buf, VELOCITY, 3, lane)
-        if buf[ALIVE + lane] > 0.5 and seen[0] == seen[0]:
-            if t_s - filters[lane, HEARD] >= tuning.gps_timeout_s:
-                ekf_kernel.restart_velocity(filters[lane], seen, variance)
+        if moves and seen[0] == seen[0]:
+            if t_s - x[HEARD] >= tuning.gps_timeout_s:
+                ekf_kernel.restart_velocity(x, seen, tuning.velocity_variance)
             else:
-                ekf_kernel.correct_velocity(filters[lane], seen, variance, room)
-            filters[lane, HEARD] = t_s
-
-
-@compiled
-def level(buf: Buffer, filters: FilterStates, airspeed: Buffer, tuning: Tuning, t_s: float) -> None:
-    """Gravity for every living lane's EKF that has been without GPS for long."""
-    room, variance = ekf_kernel.new_workspace(), tuning.gravity_variance
-    for lane in range(L):
-        blind = t_s - filters[lane, HEARD] >= tuning.gps_timeout_s - ROUNDING_S
-        due = t_s - filters[lane, LEVELLED] >= tuning.gravity_period_s - ROUNDING_S
-        if buf[ALIVE + lane] > 0.5 and blind and due:
-            imu = gather(buf, M, IMU_ID, lane)
-            ekf_kernel.correct_tilt(filters[lane], imu, airspeed[lane], variance, room)
-            filters[lane, LEVELLED] = t_s
+                ekf_kernel.correct_velocity(x, seen, tuning.velocity_variance, room)
+            x[HEARD] = t_s
 
 
 @compiled

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from analysis.search.lanes import rows
 from analysis.search.lanes.aid_lanes import airspeeds, sense_field, sense_pressure, sense_velocity
 from analysis.search.lanes.fault_lanes import break_signals
-from analysis.search.lanes.filter_lanes import EKF, Tunings, head, level, predict, publish, velocity
+from analysis.search.lanes.filter_lanes import Tunings, filter_step, publish
 from analysis.search.lanes.gust_lanes import blow
 from analysis.search.lanes.heun_lanes import attitudes, heun, keep
 from analysis.search.lanes.inverted_lanes import (
@@ -143,21 +143,6 @@ def measure(buf: Buffer, generators: Generators, k: int, plan: Plan) -> None:
 
 
 @compiled
-def filter_step(buf: Buffer, filters: Columns, airspeed: Buffer, k: int, plan: Plan) -> None:
-    """The filters' share of sample `k` > 0: IMU, field, airspeed, velocity, in this order."""
-    kind, tunings = plan.estimator, plan.tunings
-    predict(buf, filters, airspeed, kind, tunings, plan.dt_s)
-    if kind == EKF:
-        level(buf, filters, airspeed, tunings.ekf, k * plan.dt_s)
-    if k % plan.field_every == 0:
-        head(buf, filters, kind, tunings, plan.declination_rad, plan.field_every * plan.dt_s)
-    if k % plan.pressure_every == 0 and not plan.rotors:
-        airspeeds(buf, airspeed, plan.sea_density_kgpm3)
-    if k % plan.velocity_every == 0 and kind == EKF:
-        velocity(buf, filters, tunings.ekf, k * plan.dt_s)
-
-
-@compiled
 def tick(
     buf: Buffer,
     filters: Columns,
@@ -187,6 +172,8 @@ def tick(
     else:
         if k > 0:
             filter_step(buf, filters, airspeed, k, plan)
+            if k % plan.pressure_every == 0 and not plan.rotors:
+                airspeeds(buf, airspeed, plan.sea_density_kgpm3)
         publish(buf, filters)
         euler_of_quaternions(buf)
     score_euler(buf)
