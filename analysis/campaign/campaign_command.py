@@ -12,6 +12,7 @@ from analysis.campaign.campaign_run import run_campaign
 from analysis.report.run_folder import numbered_folder
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.extras import require_extra
 
 # Rough values: an estimate in minutes, hours or days.
 SIMULATOR_SPEED = 15.0  # simulated seconds per second of one worker
@@ -48,6 +49,8 @@ def main(args: argparse.Namespace) -> int:
     if len(args.file) != 1:
         raise ConfigError("campaign: needs exactly one campaign file; see docs/campaigns.md")
     campaign = read_campaign(args.file[0])
+    if args.evidence:
+        require_extra("scipy")  # now, and not after the flights
     check_binaries(campaign)
     workers = args.workers or os.cpu_count() or 1
     folder = Path(args.out) if args.out else numbered_folder(f"campaign-{campaign.name}")

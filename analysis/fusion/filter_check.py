@@ -1,14 +1,8 @@
 """Consistency check of the graph against the detector's filter, which has the same data.
 
-The graph keeps a window and weights sources by the noise learned in flight, so it may differ from
-the filter, but not by more than both covariances allow, and its own covariance must not be much
-larger. Where either fails, as when removing a satellite's past leaves the window underdetermined,
-the filter's solution is used.
-
-Most of the position error lasts for minutes and is common to both. Where they differ by much less
-than that, neither is known to be better, and the filter's position is reported, so that the fusion
-cannot be worse. It is also reported where only the motion model connects the graph's epochs: the
-graph trusts ranges less than the filter does and would lag in every turn.
+Where they differ by more than both covariances allow, or the graph's covariance is much larger, the
+filter's solution is used; where they hardly differ, or only the motion model connects the epochs,
+the filter's position (docs/fusion.md).
 """
 
 import math

@@ -46,10 +46,10 @@ def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str)
 
 
 def repeat_last_state(last: FusedState, t_us: int, why: str) -> FusedState:
-    """Repeat the last good state, where there is no other."""
+    """Repeat the last state, where there is no other."""
     return msgspec.structs.replace(
         last,
         t_us=t_us,
         weights={},  # nothing was used
-        reason=f"the graph failed ({why}); this is the last good state",
+        reason=f"the graph failed ({why}); this is the last state",
     )

@@ -3,7 +3,6 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -13,12 +12,10 @@ from analysis.detection.filter.propagation import PENDING_MAX
 from analysis.detection.values import Value
 from analysis.fusion.factors.sensor_factors import SensorFactors
 from analysis.fusion.graph import Graph
-from analysis.fusion.graph_start import Node
 from analysis.fusion.learned_noise import LearnedNoise
-from analysis.fusion.local_frame import LocalFrame
 from analysis.results import Decision, FusedState, Result
 from analysis.samples.block import ATTITUDE, IMU, TRUTH, ImuRun, Indices
-from analysis.samples.sample import Sample, Vector
+from analysis.samples.sample import Sample
 
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 
@@ -44,15 +41,6 @@ class FusionEpoch(Value, frozen=True):
         return history[-1] if history and history[-1].t_us == self.decision.t_us else None
 
 
-class LastGoodState(NamedTuple):
-    """The graph's solution after its last commit."""
-
-    frame: LocalFrame
-    node: Node
-    covariance: Vector
-    aligned: bool
-
-
 @dataclass(slots=True)
 class FusionState:
     """State of the fusion; changed in place, as GTSAM's smoother in it is.
@@ -70,7 +58,6 @@ class FusionState:
     graph: Graph | None = None
     sensor_factors: SensorFactors | None = None
     noise: LearnedNoise = field(default_factory=LearnedNoise)
-    last_good: LastGoodState | None = None
     excluded: frozenset[str] = frozenset()
     isolated: frozenset[str] = frozenset()
     attitude_lost: bool = False

@@ -1,4 +1,4 @@
-"""Initial state of a graph: from the detector's filter, or from the last good state."""
+"""Initial state of a graph, from the detector's filter."""
 
 import math
 from dataclasses import dataclass
@@ -10,12 +10,10 @@ import numpy as np
 
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import (
-    ACCEL_BIAS_SIGMA_MPS2,
     BA,
     BG,
     CLOCK,
     DRIFT,
-    GYRO_BIAS_SIGMA_RPS,
     PSI,
     X_BA,
     X_BG,
@@ -38,10 +36,8 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 ClockState = tuple[float, float]  # clock in m, drift in m/s
 ZERO_VELOCITY = np.zeros(3)
 MIN_VARIANCE = 1e-12  # keeps a covariance positive definite
-UNKNOWN_CLOCK_SIGMA = (1e5, 300.0)  # uninformative beside a range, yet not singular for Cholesky
 FIXED_ATTITUDE_RAD = 0.1  # chosen: an unknown attitude must not drift while nothing observes it
 UNCERTAIN_POSITION_M = 20.0  # above this sigma the first epoch's ranges are attached and QR is used
-RESTART_SIGMA_FACTOR = 2.0  # of the last good state's sigmas: the solver failed since then
 
 
 class Node(Value, frozen=True):
@@ -160,17 +156,6 @@ def start_from_filter(motion: MotionEstimate, correlation: float) -> GraphStart:
         # Range errors are correlated over epochs: the filter's clock sigma is too small.
         correlation * np.sqrt(p[[CLOCK, DRIFT], [CLOCK, DRIFT]] + 1e-4),
         motion.inertial,
-    )
-
-
-def start_from_node(frame: LocalFrame, node: Node, covariance: Vector, aligned: bool) -> GraphStart:
-    """The last good node of a graph with the covariance (9, 9) of its pose and velocity."""
-    # The solver failed since then, so the sigmas are increased.
-    wide = RESTART_SIGMA_FACTOR**2 * covariance
-    bias = np.diag([ACCEL_BIAS_SIGMA_MPS2**2] * 3 + [GYRO_BIAS_SIGMA_RPS**2] * 3)
-    first = Node(0, node.t_us, node.pose, node.velocity, node.bias, node.clock)
-    return GraphStart(
-        frame, first, wide[:6, :6], wide[6:, 6:], bias, np.array(UNKNOWN_CLOCK_SIGMA), aligned
     )
 
 

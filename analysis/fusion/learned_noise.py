@@ -1,11 +1,7 @@
 """Noise estimated in flight, so that sigmas fit the actual sensors.
 
-A detector assumes a worst case; a covariance must be right. From fault-free epochs only:
-
-- the IMU's white noise from second differences of its samples (their variance is six times that of
-white noise; motion hardly affects them), and a floor for errors that are not white: scale, timing;
-- the sigma of each satellite's Doppler from its residuals at the filter's state;
-- the lasting share of range errors from residuals averaged over some seconds.
+A detector assumes a worst case; a covariance must be right. From fault-free epochs only: the noise
+of IMU and Doppler, and the lasting share of range errors (docs/fusion.md).
 """
 
 import math

@@ -1,6 +1,7 @@
 """The fusion step: samples and the detector's results in, a fused state per GNSS epoch out."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,14 +26,13 @@ from analysis.fusion.factors.sensor_factors import SOURCE_NAMES, SensorFactors
 from analysis.fusion.filter_check import blend_with_filter, filter_contradiction
 from analysis.fusion.fused_record import fused_state, repeat_last_state
 from analysis.fusion.fusion_config import FusionConfig
-from analysis.fusion.fusion_state import FusionEpoch, FusionState, LastGoodState, sample_rows
+from analysis.fusion.fusion_state import FusionEpoch, FusionState, sample_rows
 from analysis.fusion.graph import Attitude, Graph
 from analysis.fusion.graph_start import (
     GraphStart,
     attitude_in_frame,
     navigation_state,
     start_from_filter,
-    start_from_node,
 )
 from analysis.fusion.imu_edge import Edge, segment_between
 from analysis.results import Decision, FusedState, Result, SensorDecision
@@ -220,7 +220,6 @@ class Fusion:
         if self.config.robust == "gnc" and graph.begins_span():
             self._drop_outliers(graph)
         state.excluded = excluded
-        state.last_good = LastGoodState(graph.frame, graph.node, graph.covariance, graph.aligned)
         weights = used | dict.fromkeys(sorted(excluded), 0.0)
         fused = fused_state(graph, self.name, weights, "; ".join(state.notes))
         state.pending, state.notes = {}, []
@@ -326,8 +325,8 @@ class Fusion:
             ):
                 state.sensor_factors.attach(sample, None)
         except SOLVER_ERRORS as error:
-            self._restart_from_good(state)
-            state.notes.append(f"the graph failed ({_first_line(error)}) and was restarted")
+            state.graph = None
+            state.notes.append(f"the graph failed ({_first_line(error)})")
 
     def _late_epoch(
         self, graph: Graph, sample: Epoch, core: DetectorCore, state: FusionState
@@ -351,45 +350,15 @@ class Fusion:
         late_s = (graph.node.t_us - sample.t_us) * 1e-6
         state.notes.append(f"an epoch came {late_s:.2f} s late and was inserted")
 
-    def _restart_from_good(self, state: FusionState) -> Graph | None:
-        """Start a new graph at the last good state; None without one."""
-        good = state.last_good
-        if good is None:
-            state.graph = None
-            return None
-        start = start_from_node(good.frame, good.node, good.covariance, good.aligned)
-        return self._new_graph(start, state)
-
     def _recover(self, now: FusionEpoch, state: FusionState, why: str) -> FusedState | None:
-        """After a solver failure use the filter's solution if it tested the epoch, else restart
-        from the last good state; if that fails too, repeat that state until the next epoch."""
-        for begin in (self._recover_from_detector, self._recover_from_good):
-            state.notes = [f"the graph failed ({why}) and was restarted"]
-            try:
-                fused = begin(now, state)
-            except SOLVER_ERRORS:
-                continue
-            if fused is not None:
-                return fused
+        """After a solver failure use the filter's solution if it tested the epoch; otherwise, or if
+        that fails too, repeat the last state until the next epoch."""
+        state.notes = [f"the graph failed ({why}) and was restarted"]
+        if now.motion is not None and now.decision.position_ecef_m is not None:
+            with suppress(*SOLVER_ERRORS):
+                return self._begin(now.motion, now, state)
         state.graph, state.notes = None, []
-        return (
-            repeat_last_state(state.last, now.decision.t_us, why)
-            if state.last is not None
-            else None
-        )
-
-    def _recover_from_good(self, now: FusionEpoch, state: FusionState) -> FusedState | None:
-        good = state.last_good
-        if good is None or (now.decision.t_us - good.node.t_us) * 1e-6 > self.detector.reset_s:
-            return None
-        graph = self._restart_from_good(state)
-        return self._continue(graph, now, state) if graph is not None else None
-
-    def _recover_from_detector(self, now: FusionEpoch, state: FusionState) -> FusedState | None:
-        motion = now.motion
-        if motion is None or now.decision.position_ecef_m is None:
-            return None
-        return self._begin(motion, now, state)
+        return repeat_last_state(state.last, now.decision.t_us, why) if state.last else None
 
 
 def _unbounded(sample: Sample, decision: Decision) -> bool:

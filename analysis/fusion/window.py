@@ -1,13 +1,8 @@
 """GTSAM's fixed-lag smoother with names for its factors, so that they can be removed.
 
-`IncrementalFixedLagSmoother` as configured here costs a fraction of its defaults. Time stamps are
-rounded down to intervals as long as the lag, and an interval is marginalised at once when the next
-but one begins. In the updates between, the newest variables become the root of GTSAM's Bayes tree;
-those of an interval are ordered in time below it and are removed without eliminating others again.
-With shorter intervals each marginalisation would reorder the remaining variables. Variables are
-relinearised only when they moved far enough. Cholesky takes half the time of QR but needs variables
-of similar scale (see `factors`); a graph whose first pose is known to milliradians but tens of
-metres uses QR (`any_scale`).
+Time stamps are rounded down to intervals as long as the lag, and an interval is marginalised at
+once when the next but one begins (docs/fusion.md says why). Cholesky takes half the time of QR but
+needs variables of similar scale; QR takes `any_scale`.
 """
 
 import math

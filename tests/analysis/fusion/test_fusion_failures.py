@@ -55,9 +55,7 @@ def short(flights):
 
 
 @pytest.mark.parametrize("broken", [lost_variable, indeterminate])
-def test_a_failing_graph_is_reported_and_restarts_from_the_last_good_state(
-    broken, monkeypatch, short
-):
+def test_a_failing_graph_is_reported_and_restarts_from_the_filter(broken, monkeypatch, short):
     commit, seen = Graph.commit, []
 
     def breaking(graph):

@@ -9,7 +9,6 @@ from analysis.detection.filter.measurement import observe_epoch
 from analysis.detection.sensors.sensor_tests import NavigationDetector
 from analysis.fusion.factors.range_factors import EpochRanges
 from analysis.fusion.factors.range_rows import LOS
-from analysis.fusion.factors.unary_factors import PLACEHOLDER
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph_start import Node, first_guess
 from analysis.fusion.local_frame import frame_at
@@ -20,7 +19,7 @@ from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
 CLOCK = 40.0, 3.0  # what the graph's clock is counted from
 OFF_M, FASTER_MPS = np.array([4.0, -7.0, 2.0]), np.array([1.0, 2.0, -3.0])
-X, V, C = (variable_key(letter, 0) for letter in "xvc")
+X, V, C, SECONDS = (variable_key(letter, 0) for letter in "xvcr")
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +58,11 @@ def test_the_rows_of_ranges_are_those_of_gtsams_pseudorange_factor(seen):
     jacobian, wanted = rows(*seen)
     values = gtsam.Values()
     values.insert(X, node.pose)
-    values.insert(PLACEHOLDER, 0.0)
+    values.insert(SECONDS, 0.0)
     for row, i in enumerate(used):
         sigma = ranges.sigma_m[i] / np.sqrt(weights[i])
         noise = gtsam.noiseModel.Isotropic.Sigma(1, sigma)
-        factor = ranges.pseudorange(i, X, PLACEHOLDER, frame, CLOCK, noise)
+        factor = ranges.pseudorange(i, X, SECONDS, frame, CLOCK, noise)
         theirs, their_wanted = factor.linearize(values).jacobian()
         assert np.allclose(jacobian[row, :6], theirs[0, :6], rtol=0.0, atol=2e-6 / sigma)
         assert np.isclose(jacobian[row, 9], theirs[0, 6] / SPEED_OF_LIGHT_MPS, rtol=1e-12)

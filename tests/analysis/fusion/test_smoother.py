@@ -217,7 +217,7 @@ def test_a_graph_that_fails_is_reported_and_restarts(clean, monkeypatch, short):
     assert rmse(errors(late(states), short)) < 2.0
 
 
-def test_a_graph_that_cannot_start_repeats_the_last_good_state(clean, monkeypatch):
+def test_a_graph_that_cannot_start_repeats_the_last_state(clean, monkeypatch):
     commit = Graph.commit
 
     def breaking(self):
@@ -227,7 +227,7 @@ def test_a_graph_that_cannot_start_repeats_the_last_good_state(clean, monkeypatc
 
     monkeypatch.setattr(Graph, "commit", breaking)
     states = fused(clean)
-    stuck = [state for state in states if "last good state" in state.reason]
+    stuck = [state for state in states if "last state" in state.reason]
     assert len(stuck) > 0
     assert len({state.position_ecef_m for state in stuck}) == 1
     assert isinstance(states[-1], FusedState)

@@ -11,6 +11,7 @@ import pytest
 from analysis.campaign.campaign_file import FaultChoice, read_campaign
 from analysis.campaign.results.evidence import describe_fault
 from mavproxy_fault import cli
+from mavproxy_fault.documents import extras
 
 HERE = Path(__file__).parents[1]
 
@@ -49,6 +50,15 @@ def test_each_row_is_made_again_by_its_command(folder: Path, monkeypatch) -> Non
     assert program == "mavproxy-fault"
     assert cli.main([*words, *arguments, "row"]) == 1
     assert rows_of(Path("again") / "fmea.csv") == [severe]
+
+
+def test_without_scipy_nothing_is_flown(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(extras, "find_spec", lambda _: None)
+    assert cli.main(["campaign", "small.yaml", "--evidence", "e", "--out", "c"]) == 2
+    assert "pip install 'mavproxy-fault[falsify]'" in capsys.readouterr().err
+    assert not Path("c").exists()
 
 
 def test_a_fault_is_described_by_its_kind_and_target() -> None:
