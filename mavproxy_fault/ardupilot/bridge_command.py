@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 from mavproxy_fault.ardupilot.autopilot_process import check_command
 from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
@@ -20,10 +19,10 @@ from mavproxy_fault.ardupilot.wired_autopilot import WiredAutopilot
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.parameter_list import read_parameters
 from mavproxy_fault.links.inbox import Inbox
-from mavproxy_fault.links.link import Chunk, Link
+from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.wire.dialect import message_layout
-from mavproxy_fault.wire.frame import Frame, build_frame
+from mavproxy_fault.wire.frame import build_frame
 
 MAV_TYPES: dict[VehicleKind, int] = {"copter": 2, "plane": 1}
 ARDUPILOT = 3  # MAV_AUTOPILOT_ARDUPILOTMEGA
@@ -43,7 +42,7 @@ def main(args: argparse.Namespace) -> int:
     own = read_parameters(args.parameters)
     with contextlib.ExitStack() as stack:
         link = stack.enter_context(contextlib.closing(open_link(args.hil)))
-        autopilot: BridgeAutopilot
+        autopilot: BridgedAutopilot | WiredAutopilot
         if command:
             folder = Path(args.out)
             autopilot = BridgedAutopilot(
@@ -83,31 +82,13 @@ def check_connection_options(args: argparse.Namespace) -> None:
         )
 
 
-class BridgeAutopilot(Protocol):
-    """The interface of ArduPilot to the exchange, whether a SITL process or a board."""
-
-    @property
-    def started(self) -> bool: ...
-    @property
-    def armed(self) -> bool: ...
-    @property
-    def steps(self) -> int: ...
-    @property
-    def t_us(self) -> int: ...
-    def filenos(self) -> list[int]: ...
-    def poll(self) -> int | None: ...
-    def receive(self, frame: Frame) -> None: ...
-    def read(self) -> list[Chunk]: ...
-    def close(self) -> None: ...
-
-
 class BridgeLoop:
     """Carries frames between a HIL link and the autopilot until either is closed."""
 
     def __init__(
         self,
         link: Link,
-        autopilot: BridgeAutopilot,
+        autopilot: BridgedAutopilot | WiredAutopilot,
         say: Callable[[str], None],
         silence_s: float = SILENCE_S,
     ) -> None:
