@@ -16,7 +16,7 @@ import numpy as np
 
 from analysis.detection.filter.covariance_release import free_position, free_system_clocks
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE
+from analysis.detection.filter.inertial import CLOCK
 from analysis.detection.filter.information import NO_RATES
 from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
 from analysis.detection.isolation.epoch_statistics import EpochStatistics
@@ -83,7 +83,7 @@ def _is_faster_than_force(innovations: Innovations, before: ImuRun | None, run: 
     if not np.isfinite(force + force_before).all():
         return False
     dt_s = float(run.t_us[-1] - before.t_us[-1]) * 1e-6
-    grown_mps = np.linalg.norm(_velocity_shift(innovations))
+    grown_mps = np.linalg.norm(velocity_shift(innovations)[0])
     changed_mps = np.linalg.norm(force - force_before) * dt_s
     turned_mps = max(np.linalg.norm(force), np.linalg.norm(force_before)) * dt_s
     return bool(grown_mps > turned_mps + changed_mps + VELOCITY_SLACK_MPS)
@@ -93,8 +93,8 @@ def _has_jumped(since_us: int, motion: MotionEstimate, innovations: Innovations)
     """Whether the position is farther off than the wrong velocity could have carried it since the
     ranges were last used."""
     dt_s = (motion.t_us - since_us) * 1e-6
-    shift_m = np.linalg.norm(_position_shift(innovations))
-    carried_m = 2.0 * dt_s * np.linalg.norm(_velocity_shift(innovations))
+    shift_m = np.linalg.norm(position_shift(innovations)[0])
+    carried_m = 2.0 * dt_s * np.linalg.norm(velocity_shift(innovations)[0])
     uncertain_m = JUMP_SIGMAS * np.sqrt(np.trace(motion.p[:3, :3]))
     return bool(shift_m > LEAST_SHIFT_M + carried_m + uncertain_m)
 
@@ -114,10 +114,8 @@ def ranges_beyond_imu(
     if rates.hypothesis != "gps":
         if not (confirmed and motion.inertial and ranges.hypothesis == "imu"):
             return ranges
-        h = innovations.geometry
-        columns = np.column_stack([h[:, 0:3], h[:, CLOCK]])
-        shift_m = np.linalg.norm(_shift(columns, innovations.range_m, innovations.variance))
-        if shift_m < LEAST_SHIFT_M and not trust.distrusted:
+        shift_m, _ = _shift(innovations, innovations.geometry[:, CLOCK : CLOCK + 1])
+        if np.linalg.norm(shift_m) < LEAST_SHIFT_M and not trust.distrusted:
             return ranges
     return reject_all(motion, ranges)
 
@@ -157,7 +155,7 @@ def common_jump_m(
     dof = statistics.parity_dof
     if dof < AGREEING_DOF or statistics.parity > chi_square_threshold(dof, p_agree):
         return None
-    shift_m = _position_shift(innovations)
+    shift_m, _ = position_shift(innovations)
     uncertain_m = JUMP_SIGMAS * np.sqrt(np.trace(motion.p[:3, :3]))
     most_m = JUMP_M + 0.5 * JUMP_MPS2 * dt_s**2 + uncertain_m
     return shift_m if np.linalg.norm(shift_m) > most_m else None
@@ -181,24 +179,32 @@ def accumulated_jump_m(so_far_m: Vector | None, shift_m: Vector | None) -> Vecto
     return total_m if np.linalg.norm(total_m) > 0.5 * np.linalg.norm(shift_m) else None
 
 
-def _position_shift(innovations: Innovations) -> Vector:
-    """The shift of position (3,) that the ranges share, their clocks unknown."""
-    h = innovations.geometry
-    clocks = h[:, CLOCK:ERROR_SIZE]
-    columns = np.hstack([h[:, :3], clocks[:, clocks.any(axis=0)]])
-    return _shift(columns, innovations.range_m, innovations.variance)
+def position_shift(innovations: Innovations) -> tuple[Vector, Vector]:
+    """The shift of position (3,) that the ranges share, their clocks unknown, and its covariance
+    (3, 3)."""
+    clocks = innovations.geometry[:, CLOCK:]
+    return _shift(innovations, clocks[:, clocks.any(axis=0)])
 
 
-def _velocity_shift(innovations: Innovations) -> Vector:
-    """The shift of velocity (3,) that the rates share, the drift unknown."""
-    rate_mps = innovations.rate_mps
-    columns = np.column_stack([innovations.geometry[:, 0:3], np.ones(len(rate_mps))])
-    return _shift(columns, rate_mps, innovations.rate_variance)
+def _shift(innovations: Innovations, clocks: Vector) -> tuple[Vector, Vector]:
+    """`position_shift` with given columns (n, k) of the unknown clocks."""
+    h, v = innovations.geometry[:, :3], innovations.range_m
+    return _eliminate_clocks(h, clocks, v, innovations.variance)
 
 
-def _shift(columns: Vector, v: Vector, variance: Vector) -> Vector:
-    """The weighted least-squares solution's first three (3,) for innovations v (n,)."""
-    known = np.isfinite(v)
-    weight = 1.0 / np.sqrt(variance[known])
-    solution = np.linalg.lstsq(columns[known] * weight[:, np.newaxis], v[known] * weight)[0]
-    return np.asarray(solution[:3], dtype=np.float64)
+def velocity_shift(innovations: Innovations) -> tuple[Vector, Vector]:
+    """The shift of velocity (3,) that the known rates share, the drift unknown, and its covariance
+    (3, 3)."""
+    known = np.isfinite(innovations.rate_mps)
+    h, v = innovations.geometry[known, :3], innovations.rate_mps[known]
+    return _eliminate_clocks(h, np.ones((len(v), 1)), v, innovations.rate_variance[known])
+
+
+def _eliminate_clocks(
+    h: Vector, clocks: Vector, v: Vector, variance: Vector
+) -> tuple[Vector, Vector]:
+    """A vector (3,) and its covariance (3, 3) by innovations v (n,) whose clocks are unknown."""
+    columns = np.hstack([h, clocks]) / np.sqrt(variance)[:, None]
+    # Pseudo-inverse: satellites in one direction leave an axis without information.
+    cofactor: Vector = np.asarray(np.linalg.pinv(columns.T @ columns, hermitian=True), np.float64)
+    return (cofactor @ columns.T @ (v / np.sqrt(variance)))[:3], cofactor[:3, :3]

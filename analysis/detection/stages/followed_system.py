@@ -12,9 +12,9 @@ from analysis.detection.detector_state import EpochRecord
 from analysis.detection.filter.covariance_release import free_clock, free_position
 from analysis.detection.filter.information import NO_RATES
 from analysis.detection.filter.measurement import systems_in_use
+from analysis.detection.isolation.all_satellites import position_shift
 from analysis.detection.isolation.constellations import LEAST_MOVED
 from analysis.detection.stages.assess import Assessment
-from analysis.detection.stages.imu_or_satellites import eliminate_clocks
 from analysis.detection.stages.isolate import EpochVerdict
 from analysis.samples.sample import Vector
 
@@ -36,8 +36,7 @@ def follow_one_system(
     for column in systems_in_use(innovations.geometry).T:
         own = innovations.select(column > 0.0)
         if len(own.range_m) >= LEAST_MOVED:
-            h, clock = own.geometry[:, :3], np.ones((len(own.range_m), 1))
-            shift_m, _ = eliminate_clocks(h, clock, own.range_m, own.variance)
+            shift_m, _ = position_shift(own)
             others = tuple(np.flatnonzero(column == 0.0).tolist())
             off_m[others] = float(np.linalg.norm(motion.x[:3] + shift_m - expected_m))
     if not off_m:

@@ -26,10 +26,14 @@ import numpy as np
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import EpochRecord
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE, V
+from analysis.detection.filter.inertial import ERROR_SIZE, V
 from analysis.detection.filter.information import NO_RATES
 from analysis.detection.filter.measurement import Innovations
-from analysis.detection.isolation.all_satellites import reject_all
+from analysis.detection.isolation.all_satellites import (
+    position_shift,
+    reject_all,
+    velocity_shift,
+)
 from analysis.detection.isolation.epoch_statistics import LEAST_RATES
 from analysis.detection.isolation.range_test import RangeVerdict
 from analysis.detection.isolation.rate_test import RateVerdict
@@ -146,9 +150,7 @@ def _reject_rates(rates: RateVerdict) -> RateVerdict:
 def is_coasting(motion: MotionEstimate, innovations: Innovations) -> bool:
     """Whether a prediction knows the position less well than the ranges in use would on their own:
     a fault of the IMU itself would then go undetected."""
-    h = innovations.geometry
-    clocks = _observed_clocks(h)
-    _, alone = eliminate_clocks(h[:, :3], clocks, innovations.range_m, innovations.variance)
+    _, alone = position_shift(innovations)
     return bool(np.trace(motion.p[:3, :3]) > np.trace(alone))
 
 
@@ -260,15 +262,10 @@ def _local_axes(motion: MotionEstimate) -> Vector:
 def _combine_to_fix(assessment: Assessment, axes: Vector) -> FixInnovation | None:
     """Ranges and rates as a position and a velocity; None where they are too few."""
     innovations, p = assessment.innovations, assessment.prediction.motion.p
-    geometry, rate_mps = innovations.geometry, innovations.rate_mps
-    known, clocks = np.isfinite(rate_mps), _observed_clocks(geometry)
-    if known.sum() < LEAST_RATES or len(innovations.range_m) < 3 + clocks.shape[1]:
+    statistics = assessment.statistics
+    if statistics.rate_count < LEAST_RATES or len(statistics.ranges.v) < len(statistics.ranges.b):
         return None
-    ones = np.ones((int(known.sum()), 1))
-    position = eliminate_clocks(geometry[:, :3], clocks, innovations.range_m, innovations.variance)
-    velocity = eliminate_clocks(
-        geometry[known, :3], ones, rate_mps[known], innovations.rate_variance[known]
-    )
+    position, velocity = position_shift(innovations), velocity_shift(innovations)
     r = np.zeros((6, 6))
     r[:3, :3], r[3:, 3:] = axes @ position[1] @ axes.T, axes @ velocity[1] @ axes.T
     h = np.zeros((6, ERROR_SIZE))
@@ -277,23 +274,6 @@ def _combine_to_fix(assessment: Assessment, axes: Vector) -> FixInnovation | Non
     m: Vector = np.linalg.inv(np.asarray(h @ cross + r, dtype=np.float64))
     v = np.r_[axes @ position[0], axes @ velocity[0]]
     return FixInnovation(v, np.arange(6), h, m, cross @ m)
-
-
-def _observed_clocks(geometry: Vector) -> Vector:
-    """The columns (n, k) of the clocks that the ranges observe."""
-    clocks = geometry[:, CLOCK:]
-    observed: Vector = clocks[:, clocks.any(axis=0)]
-    return observed
-
-
-def eliminate_clocks(
-    h: Vector, clocks: Vector, v: Vector, variance: Vector
-) -> tuple[Vector, Vector]:
-    """A vector (3,) and its covariance (3, 3) by innovations v (n,) whose clocks are unknown."""
-    columns = np.hstack([h, clocks]) / np.sqrt(variance)[:, None]
-    # Pseudo-inverse: satellites in one direction leave an axis without information.
-    cofactor: Vector = np.asarray(np.linalg.pinv(columns.T @ columns, hermitian=True), np.float64)
-    return (cofactor @ columns.T @ (v / np.sqrt(variance)))[:3], cofactor[:3, :3]
 
 
 def _is_explained_by_force(
