@@ -15,7 +15,7 @@ from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 from analysis import commands
 from analysis.processes import spawn_context
@@ -67,11 +67,8 @@ faults:
 ESTIMATORS = ("ekf", "complementary", "mahony", "inverse-model")
 
 
-class Step(NamedTuple):
-    """A part of the work, and the name under which its duration is printed."""
-
-    name: str
-    work: Callable[[], None]
+Step = tuple[str, Callable[[], None]]
+"""A part of the work: the name under which its duration is printed, and what does it."""
 
 
 def add_warm_up(subparsers: Any) -> None:
@@ -126,9 +123,9 @@ def _chains(folder: Path) -> list[list[Step]]:
         _step(name, folder, "search", "--budget", "8", "--workers", "1") for name in ESTIMATORS
     ]
     other = [_step("multirotor", folder, "run", "--zenoh", "off")]
-    proxied = [
-        Step("the proxy's machine code", _make_object_file),
-        Step("stretches", partial(_make_stretches, folder / "multirotor.yaml")),
+    proxied: list[Step] = [
+        ("the proxy's machine code", _make_object_file),
+        ("stretches", partial(_make_stretches, folder / "multirotor.yaml")),
     ]
     return [longest, searches, other, proxied]
 
@@ -136,7 +133,7 @@ def _chains(folder: Path) -> list[list[Step]]:
 def _step(name: str, folder: Path, *words: str, file: bool = True) -> Step:
     """A command that writes into a folder of its name, of a file of its name if it takes one."""
     line = [*words, "--out", str(folder / name), *([str(folder / f"{name}.yaml")] if file else [])]
-    return Step(f"{words[0]} {name}" if file else name, partial(_carry_out, line))
+    return f"{words[0]} {name}" if file else name, partial(_carry_out, line)
 
 
 def _make_object_file() -> None:
@@ -162,10 +159,10 @@ def _make_stretches(scenario: Path) -> None:
 
 def _carry_out_chain(chain: Sequence[Step]) -> None:
     """Run steps one after the other, and print how long each took."""
-    for step in chain:
+    for name, work in chain:
         begun_s = time.monotonic()
-        step.work()
-        print(f"{step.name:24} {time.monotonic() - begun_s:5.0f} s", flush=True)
+        work()
+        print(f"{name:24} {time.monotonic() - begun_s:5.0f} s", flush=True)
 
 
 def _carry_out(words: list[str]) -> None:

@@ -47,7 +47,10 @@ def main(args: argparse.Namespace) -> int:
     scenario = read_scenario(args.scenario)
     kind = parse_spec(args.hil).kind if args.hil else ""
     real_time = args.real_time or kind == "serial"
-    check_real_time(args, real_time=real_time)
+    if args.real_time and not args.hil:
+        raise ConfigError("--real-time: needs a link to the autopilot; add --hil")
+    if real_time and args.speed != "1":
+        raise ConfigError(f"--speed: {args.speed} is not possible with hardware; use 1")
     # PX4's simulator link is TCP; over UDP only hardware answers.
     served = real_time or kind in ("tcpin", "tcp")
     if served and args.gcs:
@@ -79,20 +82,6 @@ def main(args: argparse.Namespace) -> int:
         # Also after Ctrl-C: the summary says how far the flight got.
         finally:
             progress.end(simulation.truth.t_us, time.monotonic())
-
-
-def check_real_time(args: argparse.Namespace, *, real_time: bool) -> None:
-    """Refuse options that are impossible with hardware.
-
-    Raises
-    ------
-    ConfigError
-        If --real-time has no --hil, or --speed is not 1 with hardware.
-    """
-    if args.real_time and not args.hil:
-        raise ConfigError("--real-time: needs a link to the autopilot; add --hil")
-    if real_time and args.speed != "1":
-        raise ConfigError(f"--speed: {args.speed} is not possible with hardware; use 1")
 
 
 def check_sensors(scenario: Scenario) -> None:

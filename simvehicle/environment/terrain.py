@@ -1,4 +1,4 @@
-"""Height of the ground: constant, or a grid in Esri's ASCII raster format (.asc).
+"""Height of the ground as a grid in Esri's ASCII raster format (.asc).
 
 The grid's coordinates are longitude and latitude in degrees, its values metres above mean sea
 level, interpolated bilinearly between cell centres. Format: Esri, "ASCII raster file format".
@@ -39,17 +39,6 @@ class TerrainGrid:
         south = (1.0 - b) * h[i, j] + b * h[i, j + 1]
         north = (1.0 - b) * h[i + 1, j] + b * h[i + 1, j + 1]
         return float((1.0 - a) * south + a * north)
-
-
-@dataclass(frozen=True, slots=True)
-class LevelGround:
-    """Level ground at one height above mean sea level [m]."""
-
-    alt_m: float
-
-    def ground(self, lat_rad: float, lon_rad: float) -> float:
-        """Height above mean sea level [m]."""
-        return self.alt_m
 
 
 def read_terrain_grid(path: str | Path) -> TerrainGrid:

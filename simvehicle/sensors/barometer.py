@@ -20,15 +20,11 @@ class Barometer(CompiledSensor, frozen=True, kw_only=True):
 
     channels: ClassVar = {"noise": 1}
     kind: ClassVar = BARO
+    constants: ClassVar = ("drift_pa_per_k",)
 
     rate_hz: Rate = 50.0
     noise: NoiseModel = NoiseModel()
     drift_pa_per_k: float = 0.0
-
-    def describe(self, record: Any) -> None:
-        """Write the parameters to a record of `SENSOR`."""
-        super().describe(record)
-        record["constants"][0] = self.drift_pa_per_k
 
 
 @inlined

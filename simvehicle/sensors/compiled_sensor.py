@@ -18,6 +18,7 @@ class CompiledSensor(SensorParameters, frozen=True, kw_only=True):
     """Parameters of a compiled sensor."""
 
     kind: ClassVar[int]
+    constants: ClassVar[tuple[str, ...]] = ()  # parameters that its `measure_*` takes, in order
 
     def next_blocks(self, state: list[NoiseState], rng: np.random.Generator) -> list[NoiseState]:
         """Draw the next block of each noise model."""
@@ -31,3 +32,5 @@ class CompiledSensor(SensorParameters, frozen=True, kw_only=True):
         record["kind"], record["id"], record["rate_hz"] = self.kind, self.id, self.rate_hz
         for at, name in enumerate(self.channels):
             record["scale"][at] = self.noise_model(name).scale
+        values = np.hstack([getattr(self, name) for name in self.constants] or [0.0])
+        record["constants"][: len(values)] = values

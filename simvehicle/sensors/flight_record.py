@@ -55,7 +55,6 @@ SENSOR = np.dtype(
         ("id", "i8"),
         ("rate_hz", "f8"),
         ("scale", "f8", 2),  # of each noise model
-        ("limit", "f8", 2),
         ("constants", "f8", 3),  # of the kind
         ("count", "i8"),  # the next sample's number, and when it is due
         ("due_us", "f8"),

@@ -17,6 +17,7 @@ class ImuSensor(CompiledSensor, frozen=True, kw_only=True):
 
     channels: ClassVar = {"gyro": 3, "accel": 3}
     kind: ClassVar = IMU
+    constants: ClassVar = ("gyro_range_rps", "accel_range_mps2")
 
     rate_hz: Rate = 250.0
     gyro: NoiseModel = NoiseModel()
@@ -24,18 +25,13 @@ class ImuSensor(CompiledSensor, frozen=True, kw_only=True):
     gyro_range_rps: float = 35.0  # 2000 deg/s and 16 g, the usual MEMS IMU settings of autopilots
     accel_range_mps2: float = 160.0
 
-    def describe(self, record: Any) -> None:
-        """Write the parameters to a record of `SENSOR`."""
-        super().describe(record)
-        record["limit"][:] = self.gyro_range_rps, self.accel_range_mps2
-
 
 @inlined
 def measure_imu(flight: Any, sensor: Any) -> None:
     """Sample specific force [m/s^2], then body rates [rad/s], into `values`."""
     rates = (flight.x[P], flight.x[P + 1], flight.x[P + 2])
     force = (flight.load[FORCE], flight.load[FORCE + 1], flight.load[FORCE + 2])
-    row, scale, limit = sensor.errors[sensor.row], sensor.scale, sensor.limit
+    row, scale, limit = sensor.errors[sensor.row], sensor.scale, sensor.constants
     gyro = apply_triad_errors(rates, scale[0], (row[0], row[1], row[2]), limit[0])
     accel = apply_triad_errors(force, scale[1], (row[3], row[4], row[5]), limit[1])
     for i in range(3):

@@ -24,15 +24,11 @@ class Magnetometer(CompiledSensor, frozen=True, kw_only=True):
 
     channels: ClassVar = {"noise": 3}
     kind: ClassVar = MAG
+    constants: ClassVar = ("field_ned_gauss",)
 
     rate_hz: Rate = 50.0
     noise: NoiseModel = NoiseModel()
     field_ned_gauss: tuple[float, float, float] | None = None
-
-    def describe(self, record: Any) -> None:
-        """Write the parameters to a record of `SENSOR`."""
-        super().describe(record)
-        record["constants"][:] = self.field_ned_gauss
 
 
 @inlined

@@ -25,7 +25,7 @@ from simvehicle.environment.geolocation import (
     HomeFrame,
     locate_state,
 )
-from simvehicle.environment.terrain import LevelGround, TerrainGrid, read_terrain_grid
+from simvehicle.environment.terrain import TerrainGrid, read_terrain_grid
 from simvehicle.guidance.mission import plan_path
 from simvehicle.guidance.open_loop_controller import OpenLoopController
 from simvehicle.guidance.route import PathTrack
@@ -59,7 +59,8 @@ class Simulation:
     Attributes
     ----------
     scenario : Scenario
-    terrain : Grid or Level
+    terrain : TerrainGrid or None
+        None on level ground.
     home : Home
         Origin of the local frame, on the ground.
     kind, vehicle, controller
@@ -74,8 +75,10 @@ class Simulation:
     """
 
     def __init__(self, scenario: Scenario, seed: int | None = None) -> None:
-        self.terrain = _load_terrain(scenario)
-        scenario = _with_home_on_terrain(scenario, self.terrain)
+        file = scenario.environment.terrain
+        self.terrain = read_terrain_grid(file) if file is not None else None
+        if self.terrain is not None:
+            scenario = _with_home_on_terrain(scenario, self.terrain)
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
         start = scenario.start
@@ -185,7 +188,7 @@ class Simulation:
     def quiet_until_us(self) -> int:
         """The time before which a step consists of compiled code alone, if no block of random
         numbers is used up."""
-        if self.packed is None or not isinstance(self.terrain, LevelGround):
+        if self.packed is None or self.terrain is not None:
             return 0
         ends = [one.due_us for one in self.onboard_sensors]
         ends += [float(one.record["due_us"]) for one in self._late]
@@ -344,7 +347,8 @@ class Simulation:
         here = self._here.copy()
         lat, lon, height, pressure, temperature, density = here[:VELOCITY].tolist()
         alt = height - self.home.geoid_m
-        agl = alt - self.terrain.ground(lat, lon)
+        terrain = self.terrain
+        agl = alt - (terrain.ground(lat, lon) if terrain else float(flight["ground_m"]))
         flight["agl_m"] = agl
         x, load = self._x.copy(), self._load.copy()
         volts, amperes, charge = load[VOLTS:].tolist()
@@ -405,12 +409,7 @@ class Simulation:
         heapq.heappush(self._delayed, (due_us, next(self._order), item))
 
 
-def _load_terrain(scenario: Scenario) -> TerrainGrid | LevelGround:
-    path = scenario.environment.terrain
-    return read_terrain_grid(path) if path is not None else LevelGround(scenario.start.alt_m)
-
-
-def _with_home_on_terrain(scenario: Scenario, terrain: TerrainGrid | LevelGround) -> Scenario:
+def _with_home_on_terrain(scenario: Scenario, terrain: TerrainGrid) -> Scenario:
     """The scenario with home at the height of the terrain."""
     start = scenario.start
     alt = terrain.ground(math.radians(start.lat_deg), math.radians(start.lon_deg))

@@ -16,7 +16,7 @@ from simvehicle.scenario.scenario_file import read_scenario
 
 
 def test_every_flight_and_search_is_a_right_file(tmp_path: Path) -> None:
-    works = [step.work for chain in warm_up._chains(tmp_path) for step in chain]
+    works = [work for chain in warm_up._chains(tmp_path) for _, work in chain]
     calls = [work for work in works if isinstance(work, partial)]
     lines = [work.args[0] for work in calls if work.func is warm_up._carry_out]
     for scenario in (work.args[0] for work in calls if work.func is warm_up._make_stretches):

@@ -8,7 +8,6 @@ from analysis.detection import DetectorConfig
 from analysis.detection.filter.measurement import observe_epoch
 from analysis.detection.sensors.sensor_tests import NavigationDetector
 from analysis.fusion.factors.range_factors import EpochRanges
-from analysis.fusion.factors.range_rows import LOS
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph_start import Node, first_guess
 from analysis.fusion.local_frame import frame_at
@@ -93,9 +92,7 @@ def test_the_slow_covariance_is_that_of_least_squares_with_biased_ranges(seen):
     ranges, _, _, weights = seen
     used, share = np.flatnonzero(weights), 0.3
     sigma = share * ranges.sigma_m[used] / FusionConfig().correlation
-    design = design_matrix(
-        ranges.table[used, LOS : LOS + 3], ranges._observation.measurements.system[used]
-    )
+    design = design_matrix(ranges.los[used], ranges.system[used])
     theirs = np.linalg.inv((design / sigma[:, None]).T @ (design / sigma[:, None]))[:3, :3]
     assert np.allclose(ranges.slow_covariance(weights, share), theirs, rtol=1e-9)
 

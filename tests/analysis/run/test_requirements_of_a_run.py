@@ -1,12 +1,15 @@
 """Requirements on flights: `run`, `monitor` and `report` as a user runs them."""
 
+import io
 import json
 import subprocess
-import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import pytest
 import yaml
+
+from mavproxy_fault.cli import main
 
 SCENARIO = {
     "name": "motor", "duration_s": 8, "start": {"height_m": 20},
@@ -20,10 +23,10 @@ MOTOR = {"id": "m", "fault": "plant", "target": "PLANT.motor_efficiency[1]", "va
 
 
 def command(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "mavproxy_fault.cli", *map(str, arguments)],
-        capture_output=True, text=True, timeout=110, check=False,
-    )  # fmt: skip
+    """A command in this process, with what it printed."""
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as errors:
+        code = main([str(argument) for argument in arguments])
+    return subprocess.CompletedProcess(arguments, code, out.getvalue(), errors.getvalue())
 
 
 @pytest.fixture(scope="module")

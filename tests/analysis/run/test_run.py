@@ -12,6 +12,7 @@ import pytest
 from pymavlink import mavutil
 
 from analysis.results import Decision, decode, read_results
+from mavproxy_fault import cli
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import Bus, open_bus
 from mavproxy_fault.wire.label import read_labels
@@ -95,12 +96,14 @@ def test_the_report_is_one_file_without_external_links(run: Run) -> None:
     assert 'src="http' not in html
 
 
-def test_a_second_run_without_a_report_gives_the_same_bytes(run: Run, tmp_path: Path) -> None:
+def test_a_second_run_without_a_report_gives_the_same_bytes(
+    run: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     again = tmp_path / "again"
-    done = mavproxy_fault("run", SHORT, "--out", again, "--zenoh", "off", "--no-report")
-    assert done.returncode == 0
+    command = ["run", str(SHORT), "--out", str(again), "--zenoh", "off", "--no-report"]
+    assert cli.main(command) == 0
     assert not (again / "report.html").exists()
-    assert "report " not in done.stdout
+    assert "report " not in capsys.readouterr().out
     for name in ("received.tlog", "sent.tlog", "labels.jsonl", "results.jsonl"):
         assert (again / name).read_bytes() == (run[0] / name).read_bytes(), name
 
@@ -133,15 +136,16 @@ def client(url: str, process: "subprocess.Popen[bytes]") -> Bus:
     raise AssertionError("the run ended before its router was seen")
 
 
-def test_a_run_that_misses_a_criterion_ends_with_1(tmp_path: Path) -> None:
+def test_a_run_that_misses_a_criterion_ends_with_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "strict.yaml"
     text = SHORT.read_text().replace("max_false_alarms: 0", "max_position_rmse_m: 0.001")
     file.write_text(
         text.replace("duration_s: 8", "duration_s: 2").replace("must_isolate", "must_detect")
     )
-    done = mavproxy_fault("run", file, "--out", tmp_path / "out", "--zenoh", "off")
-    assert done.returncode == 1, done.stderr
-    assert "position RMSE" in done.stdout
+    assert cli.main(["run", str(file), "--out", str(tmp_path / "out"), "--zenoh", "off"]) == 1
+    assert "position RMSE" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -154,18 +158,15 @@ def test_a_run_that_misses_a_criterion_ends_with_1(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_scenario_is_refused_with_2(
-    tmp_path: Path, change: tuple[str, str], said: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: tuple[str, str], said: str
 ) -> None:
     file = tmp_path / "wrong.yaml"
     file.write_text(SHORT.read_text().replace(*change))
-    done = mavproxy_fault("run", file, "--out", tmp_path / "out")
-    assert done.returncode == 2
-    assert said in done.stderr
-    assert "Traceback" not in done.stderr
+    assert cli.main(["run", str(file), "--out", str(tmp_path / "out")]) == 2
+    assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_an_earlier_run_is_not_overwritten(run: Run) -> None:
-    done = mavproxy_fault("run", SHORT, "--out", run[0])
-    assert done.returncode == 2
-    assert "earlier run" in done.stderr
+def test_an_earlier_run_is_not_overwritten(run: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["run", str(SHORT), "--out", str(run[0])]) == 2
+    assert "earlier run" in capsys.readouterr().err
