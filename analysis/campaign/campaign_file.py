@@ -18,7 +18,7 @@ from analysis.scoring.criteria import VehicleCriteria
 from analysis.scoring.requirements import parse_requirements
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.document_check import DocumentCheck, decode
-from mavproxy_fault.documents.document_kind import refuse_other_kinds
+from mavproxy_fault.documents.document_kind import check_kind
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.parameter_list import read_parameters
 from mavproxy_fault.documents.suggestion import suggest_known
@@ -311,11 +311,9 @@ def read_campaign(path: Path | str) -> CampaignFile:
         If the file cannot be read, or a key or value is wrong.
     """
     document = read_document(path)
-    if not isinstance(document.data, dict):
-        raise ConfigError(f"{path}: has no keys; a campaign file must be a YAML mapping")
-    refuse_other_kinds(document.data, CampaignFile.__struct_fields__, str(path), "a campaign")
+    keys = check_kind(document, CampaignFile.__struct_fields__, "a campaign")
     # Scenario paths are relative to the campaign file.
-    data = {**document.data, "folder": str(Path(path).parent)}
+    data = {**keys, "folder": str(Path(path).parent)}
     campaign = decode(document._replace(data=data), CampaignFile)
     # Results of compiled scenarios and of files cannot be compared.
     kinds = {isinstance(scenario, CompiledScenario) for scenario in campaign.scenarios}

@@ -5,7 +5,7 @@ import itertools
 import re
 from collections.abc import Iterable
 from importlib import import_module
-from typing import Any
+from typing import Any, NoReturn
 
 from mavproxy_fault.documents.suggestion import suggest_known
 
@@ -86,7 +86,8 @@ class CommandParser(argparse.ArgumentParser):
         if argument.startswith("--") and not any(name.startswith(argument) for name in known):
             # Without the hyphens, which would make all names similar.
             names = [name[2:] for name in known if name.startswith("--")]
-            self.error(f"option {argument} does not exist; {suggest_known(argument[2:], names)}")
+            known_names = suggest_known(argument[2:], names, "--")
+            self.error(f"option {argument} does not exist; {known_names}")
 
     def _check_repetition(self, argument: str, given: set[str]) -> None:
         """Refuse an option that would replace its earlier value; note it in `given`."""
@@ -99,6 +100,11 @@ class CommandParser(argparse.ArgumentParser):
         if action.dest in given:
             self.error(f"option {action.option_strings[0]} is given twice; give it once")
         given.add(action.dest)
+
+    def error(self, message: str) -> NoReturn:
+        """Exit with an error as other errors are, and where the help is instead of the usage."""
+        text = message.removeprefix("argument ")
+        self.exit(2, f"{self.prog}: {text}\n(`{self.prog} --help` explains it)\n")
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         # Python 3.14 and later suggest choices themselves.

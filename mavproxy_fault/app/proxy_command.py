@@ -112,8 +112,9 @@ def read_signing(args: argparse.Namespace) -> Signing | None:
         with open(args.signing_key) as file:
             phrase = file.read(MOST_KEY_CHARACTERS).strip()  # a device file may be endless
     except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", "not UTF-8")
         raise ConfigError(
-            f"{args.signing_key}: cannot be read ({error}); give a file with the passphrase"
+            f"{args.signing_key}: cannot be read ({why}); give a file with the passphrase"
         ) from None
     return Signing(derive_key(phrase), strip=args.strip_signatures)
 

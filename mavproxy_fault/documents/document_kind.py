@@ -1,8 +1,10 @@
 """Recognises the kind of a configuration file, to report one given in place of another."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
+from typing import Any
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.yaml_document import Document
 
 # Keys that identify each kind, and the command that reads it; the first match counts.
 KINDS = {
@@ -13,21 +15,19 @@ KINDS = {
 }
 
 
-def kind_of(keys: Iterable[str]) -> str | None:
-    """Return the kind of a document with these keys; None if unknown."""
-    present = set(keys)
-    return next((kind for kind, (own, _) in KINDS.items() if own & present), None)
-
-
-def refuse_other_kinds(keys: Iterable[str], known: Iterable[str], where: str, wanted: str) -> None:
-    """Refuse a document of another kind than `wanted`, whose keys are `known`.
+def check_kind(document: Document, known: Sequence[str], wanted: str) -> dict[str, Any]:
+    """Return the mapping of a document of the kind `wanted`, whose keys are `known`.
 
     Raises
     ------
     ConfigError
-        If the keys are those of another kind.
+        If it has no keys, or the keys of another kind.
     """
-    kind = kind_of(keys)
-    if kind not in (wanted, None) and not set(keys) <= set(known):
+    keys = document.data
+    if not isinstance(keys, dict):
+        raise ConfigError(f"{document.where}: is not {wanted}; give keys: {', '.join(known[:4])}")
+    kind = next((kind for kind, (own, _) in KINDS.items() if own & keys.keys()), wanted)
+    if kind != wanted and not keys.keys() <= set(known):
         command = f"`mavproxy-fault {KINDS[kind][1]}`"
-        raise ConfigError(f"{where}: is {kind}; give {wanted}, or run {command}")
+        raise ConfigError(f"{document.where}: is {kind}; give {wanted}, or run {command}")
+    return keys

@@ -21,8 +21,9 @@ def read_parameters(file: str | None) -> dict[str, float]:
     try:
         lines = Path(file).read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", "not UTF-8")
         raise ConfigError(
-            f"--parameters: {file} cannot be read ({error}); give a parameter file"
+            f"--parameters: {file} cannot be read ({why}); give a parameter file"
         ) from None
     values: dict[str, float] = {}
     for number, line in enumerate(lines, 1):

@@ -7,8 +7,11 @@ LONGEST = 100  # characters compared: millions would take seconds
 LEAST_LIKE = 0.52  # chosen: altitude suggests alt (0.55), but help not schedule (0.5)
 
 
-def suggest_known(name: str, known: Iterable[str]) -> str:
-    """Return a sentence that suggests the known names most similar to a wrong one."""
+def suggest_known(name: str, known: Iterable[str], prefix: str = "") -> str:
+    """Return a sentence that suggests the known names most similar to a wrong one.
+
+    Each gets the `prefix`, which is not compared.
+    """
     names = sorted(known)
     if not names:
         return "none exist"
@@ -18,6 +21,7 @@ def suggest_known(name: str, known: Iterable[str]) -> str:
         name.upper(), names, 3, LEAST_LIKE
     )
     if close:
-        return f"did you mean {' or '.join(close)}?"
+        return f"did you mean {' or '.join(prefix + one for one in close)}?"
     # Forty names fill a terminal.
-    return f"known: {', '.join(names[:40])}{', ...' if len(names) > 40 else ''}"
+    listed = ", ".join(prefix + one for one in names[:40])
+    return f"known: {listed}{', ...' if len(names) > 40 else ''}"

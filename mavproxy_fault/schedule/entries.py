@@ -9,7 +9,7 @@ import msgspec
 from msgspec import Meta
 
 from mavproxy_fault.documents.document_check import DocumentCheck
-from mavproxy_fault.documents.document_kind import refuse_other_kinds
+from mavproxy_fault.documents.document_kind import check_kind
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import (
@@ -183,11 +183,9 @@ def parse_schedule(
     if isinstance(source, str):
         source = read_yaml(source, where)
     # Data from a program has no lines.
-    data, where, lines = source if isinstance(source, Document) else (source, where, None)
-    check = DocumentCheck(where, lines, flaws)
-    if not isinstance(data, dict):
-        raise ConfigError(f"{where}: is not a schedule; give `seed` and a list of `faults`")
-    refuse_other_kinds(data, SCHEDULE_KEYS, where, "a schedule")
+    document = source if isinstance(source, Document) else Document(source, where, {})
+    check = DocumentCheck(document.where, document.lines, flaws)
+    data = check_kind(document, SCHEDULE_KEYS, "a schedule")
     check.keys(data, SCHEDULE_KEYS, ())
     seed = check.value(data.get("seed", 0), Annotated[int, Meta(ge=0)], ("seed",))
     listed = data.get("faults") or []

@@ -18,7 +18,7 @@ from mavproxy_fault.documents.document_check import (
     Positive,
     decode,
 )
-from mavproxy_fault.documents.document_kind import refuse_other_kinds
+from mavproxy_fault.documents.document_kind import check_kind
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import Document, read_document
 from mavproxy_fault.documents.yaml_document import Path as DocumentPath
@@ -203,10 +203,8 @@ def open_scenario(path: str | Path | None) -> Document:
     if path is None:
         path = Path(str(resources.files("simvehicle.scenario").joinpath("demo.yaml")))
     document = read_document(path)
-    if not isinstance(document.data, dict):
-        raise ConfigError(f"{document.where}:1: is not a scenario; write a mapping with keys")
-    refuse_other_kinds(document.data, Scenario.__struct_fields__, document.where, "a scenario")
-    sensors = document.data.get("sensors")
+    keys = check_kind(document, Scenario.__struct_fields__, "a scenario")
+    sensors = keys.get("sensors")
     # A file name instead of a section.
     if isinstance(sensors, str):
         sensors = _sensor_file(Path(path).parent / sensors)
@@ -214,7 +212,7 @@ def open_scenario(path: str | Path | None) -> Document:
         sensors = _with_presets(document, ("sensors",))
     else:
         return document
-    return document._replace(data={**document.data, "sensors": sensors})
+    return document._replace(data={**keys, "sensors": sensors})
 
 
 def read_scenario(path: str | Path | None) -> Scenario:

@@ -15,8 +15,7 @@ from analysis.search.space.airframe import has_rotors
 from analysis.search.space.fault_range import FaultRange
 from analysis.search.space.section import Range, Section
 from mavproxy_fault.documents.document_check import decode
-from mavproxy_fault.documents.document_kind import refuse_other_kinds
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.document_kind import check_kind
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from simvehicle.scenario.scenario_file import read_scenario
@@ -312,10 +311,7 @@ def read_test(path: Path | str) -> TestFile:
         If it cannot be read, or a key or value is wrong.
     """
     document = read_document(path)
-    data = document.data
-    if not isinstance(data, dict):
-        raise ConfigError(f"{path}:1: has no keys; a test file is a YAML mapping")
-    refuse_other_kinds(data, TestFile.__struct_fields__, str(path), "a search")
+    data = check_kind(document, TestFile.__struct_fields__, "a search")
     named = data.get("scenario")
     estimator = data.get("estimator", COMPILED_ESTIMATORS[0])
     if named is not None or estimator not in COMPILED_ESTIMATORS:

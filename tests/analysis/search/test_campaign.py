@@ -201,7 +201,7 @@ def test_a_test_file_that_is_written_reads_back_the_same(tmp_path):
         ("vary: {seed: [1, 2]}", "vary is set without scenario"),
         ("{criterion: state, estimator: ekf}", "ekf estimates fewer"),
         ("duration_s: 0", "duration_s = 0.* is not positive"),
-        ("- 1", "a test file is a YAML mapping"),
+        ("- 1", "is not a search; give keys: "),
     ],
 )
 def test_errors_of_a_test_file_name_the_line(tmp_path, text, said):

@@ -7,7 +7,7 @@ import pytest
 
 from analysis.campaign.campaign_file import read_campaign
 from analysis.search.space.test_file import read_test
-from mavproxy_fault.documents.document_kind import kind_of
+from mavproxy_fault.documents.document_kind import check_kind
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.schedule.entries import parse_schedule, read_schedule
@@ -24,14 +24,16 @@ READERS: dict[str, tuple[Callable[[Path], Any], str, str]] = {
 
 def test_every_example_has_a_recognised_kind() -> None:
     for path in EXAMPLES.glob("*.yaml"):
-        keys = read_document(path).data.keys()
-        if keys <= {"seed", "faults"}:
-            assert kind_of(keys) == "a schedule"
+        document = read_document(path)
+        if document.data.keys() <= {"seed", "faults"}:
+            kind = "a schedule"
         elif "search" in path.name:
-            assert kind_of(keys) == "a search", path
+            kind = "a search"
         else:
-            campaign = "campaign" in path.name
-            assert kind_of(keys) == ("a campaign" if campaign else "a scenario"), path
+            kind = "a campaign" if "campaign" in path.name else "a scenario"
+        check_kind(document, (), kind)
+        with pytest.raises(ConfigError, match=f"is {kind}; give a tune"):
+            check_kind(document, (), "a tune")
 
 
 # A search may consist of a seed and faults only, so a schedule could be one by its keys.

@@ -107,7 +107,7 @@ WRONG = [
     ("environment: {gusts: strong}\n", r"flight.yaml:1: environment.gusts"),
     ("start: {time: 2024-03-07T12:00:00}\n", r"flight.yaml:1: start.time has no time zone"),
     ("sensors: {imu: {}}\nsensors: {}\n", r"flight.yaml:2: sensors is given twice"),
-    ("- a\n", r"flight.yaml:1: is not a scenario"),
+    ("- a\n", r"flight.yaml: is not a scenario"),
     ("a: [\n", r"flight.yaml:2: not YAML"),
 ]
 
