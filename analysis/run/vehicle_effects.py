@@ -74,7 +74,8 @@ class _TrimmedVehicle:
         total = float(rise[-1] @ rise[-1])
         if total == 0.0:  # an actuator without effect
             return 0.0
-        return float((1.0 - rise @ rise[-1] / total).sum() * STEP_S)
+        # Rounding must not make the lag of an immediate response negative.
+        return max(float((1.0 - rise @ rise[-1] / total).sum() * STEP_S), 0.0)
 
     def _motions(self, commands: Array, change: Array) -> Array:
         """Return the motion (STEPS, 6) after each step since the commands changed."""

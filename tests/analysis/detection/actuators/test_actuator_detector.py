@@ -370,3 +370,10 @@ def test_the_end_of_a_fault_is_no_evidence_of_another() -> None:
     assert response.isolated == NO_HYPOTHESES
     assert regression.weight == 0.0
     assert not regression.shared.any()
+
+
+@pytest.mark.parametrize("vehicle", ["quad", "hexa", "fixed wing"])
+def test_no_actuator_leads_its_command(vehicle: str) -> None:
+    """A lag of -3e-17 s, which is rounding, made every test of a fixed wing NaN."""
+    effects = setup_of(vehicle).monitor.actuators
+    assert (effects.lags_s >= 0.0).all()
