@@ -14,6 +14,7 @@ from typing import ClassVar
 
 from analysis.detection.compass.compass_samples import ZERO, Axis, compass_samples
 from analysis.detection.detector_registry import BlockDetector, RowResults
+from analysis.detection.streams.stream_times import FIX_SOURCE, accepts_source
 from analysis.results import pattern_alarm
 from analysis.samples.block import FIX_3D, FIX_TYPE, IMU, MAG, NEVER_US, Block
 
@@ -79,6 +80,7 @@ class LevelState:
     has_fix: SensorLevel = field(default_factory=lambda: SensorLevel(math.inf, 0.5))
     rates: Axis = ZERO
     field_us: int = NEVER_US
+    source: float = math.nan  # of the fixes
 
 
 class LevelDetector(BlockDetector, frozen=True):
@@ -102,6 +104,9 @@ class LevelDetector(BlockDetector, frozen=True):
                 if usable and (change := state.size.change(t_us, size)):
                     reason = f"the field's size is off by {abs(change):.3f} gauss"
                     found.append((row, pattern_alarm(t_us, "mag", reason)))
-            elif state.has_fix.change(t_us, float(values[FIX_TYPE] >= FIX_3D)):
-                found.append((row, pattern_alarm(t_us, "gps-position", "reports no fix")))
+            elif accepts_source(state.source, source := float(block.values[row, FIX_SOURCE])):
+                # An autopilot's own report of the fix has another clock.
+                state.source = source
+                if state.has_fix.change(t_us, float(values[FIX_TYPE] >= FIX_3D)):
+                    found.append((row, pattern_alarm(t_us, "gps-position", "reports no fix")))
         return found, state

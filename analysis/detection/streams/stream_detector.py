@@ -14,6 +14,7 @@ import numpy as np
 from analysis.detection.detector_registry import BlockDetector, RowResults
 from analysis.detection.streams.stream_rate import SINKING_SHARE
 from analysis.detection.streams.stream_times import (
+    FIX_SOURCE,
     FROZEN_STAMPS,
     INTERVALS,
     LEARNED_SAMPLES,
@@ -44,7 +45,6 @@ STREAMS = ("imu", "imu", "imu", "mag", "baro", "airspeed", "range", "vision", "g
 STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2, -2, -2)
 NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0, 0, 0)
 SHOWS_TIME = np.array(STREAM_OF) != -2  # broadcasts and samples with a time of their own do not
-FIX_SOURCE = 10  # a fix's column of its source
 
 TIME_JUMP_US = 200_000  # smallest jump ahead: an interval at 5 Hz
 SEVERAL_CONFIRM_US, SINGLE_CONFIRM_US = 250_000, 1_000_000  # confirm a jump of several, of one

@@ -14,6 +14,7 @@ from analysis.detection.streams.stream_rate import StreamRate
 from analysis.samples.block import FIX_3D, FIX_TYPE, NEVER_US, SOURCES
 
 OWN_SOURCE = SOURCES.index("HIL_GPS")
+FIX_SOURCE = 10  # a fix's column of its source
 FIX_NUMBERS = 5  # of a fix: position and level velocity
 
 # samples after which a stream and its values are known, chosen
@@ -29,6 +30,12 @@ FROZEN_STAMPS = 5  # equal stamps in a row, chosen
 RUN_FACTOR, RUN_MORE, RUN_US = 3, 10, 500_000
 STILL_SAMPLES = 20  # a value that has legitimately repeated for 20 samples is exempt from the test
 REPEAT_US = 500_000  # between two results about the same anomaly
+
+
+def accepts_source(known: float, source: float) -> bool:
+    """Whether a fix is of the receiver that is followed, by the messages' numbers: the `known` one
+    (NaN: none yet), or HIL_GPS."""
+    return source in (known, OWN_SOURCE) or math.isnan(known)
 
 
 @dataclass(slots=True, eq=False)
@@ -109,12 +116,9 @@ class SampleStream:
 
     def is_from_receiver(self, source: float) -> bool:
         """Whether a fix is the receiver's own: those that an autopilot forwards are late."""
-        if source == self.source:
-            return True
-        if source != OWN_SOURCE and not math.isnan(self.source):
-            return False
-        self.source, self.count, self.repeats = source, 0, FixRepeats()
-        return True
+        if source != self.source and accepts_source(self.source, source):
+            self.source, self.count, self.repeats = source, 0, FixRepeats()
+        return source == self.source
 
     def repetition_us(self, values: Sequence[float], t_us: int) -> int:
         """For how long one of the sensor's numbers has repeated beyond its own past."""

@@ -1,6 +1,7 @@
 """Sensors that leave their own level: field and fix."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -119,3 +120,16 @@ def test_the_cut_into_blocks_changes_nothing() -> None:
         found, state = detector.step(whole.between(row, row + 1), state)
         one_by_one += [result for _, result in found]
     assert one_by_one == alarms(whole)
+
+
+def test_an_autopilots_own_report_of_the_fix_hides_no_loss() -> None:
+    """ArduPilot's GPS_RAW_INT has another clock, which would begin the level anew each time."""
+    samples: list[Sample] = []
+    for t_us in range(0, 30_000_000, 200_000):
+        fix = fix_of(0)(t_us, t_us > 20_000_000)
+        samples.append(replace(fix, source="HIL_GPS"))
+        if t_us % 400_000 == 0:
+            samples.append(replace(fix, t_us=t_us + 1_700_000_000_000_000, source="GPS_RAW_INT"))
+    found = alarms(block_of(samples))
+    assert found
+    assert found[0].t_us < 21_000_000
