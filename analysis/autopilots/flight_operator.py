@@ -64,12 +64,12 @@ class Operator:
     Attributes
     ----------
     phase : Phase
-    moments_us : dict of str to int
+    events_us : dict of str to int
         Vehicle time of the flight events `first-stamp`, `arming`, `take-off`, `mission-item:N` and
         `landing`.
     texts : list of (int, str)
         Status texts of the autopilot with their time [us].
-    gave_up : str
+    failure : str
         Why the operator ended the flight; empty otherwise.
     """
 
