@@ -23,6 +23,7 @@ from analysis.detection.statistics.chi_square import two_sided_bound
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
 from analysis.samples.sample import Epoch
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 
 ANTENNA_M = np.array([-3962108.6836, 3381309.5672, 3668678.6720])  # of the data's README
 CONFIG = DetectorConfig()
@@ -122,3 +123,23 @@ def test_the_factors_are_those_of_the_standards():
         two_sided_bound(INTEGRITY_RISK / (AXES * 20) / SATELLITE_PRIOR)
     )
     assert satellite < system < healthy
+
+
+@pytest.mark.parametrize("off_m", [0.0, 60.0])
+def test_the_levels_cover_the_place_of_a_system_that_contradicts_the_one_in_use(seen, off_m):
+    observed, ionosphere = seen
+    x = np.zeros(X_SIZE)
+    x[:3] = ANTENNA_M
+    everything = predict_innovations(observed, x, CONFIG.sigma, ionosphere)
+    gps = np.array([name[0] == "G" for name in observed.satellites])
+    north_m = ned_axes(*geodetic_position(ANTENNA_M)[:2])[0]
+    used, rivals = everything.select(gps), everything.select(~gps)
+    shift_m = rivals.geometry[:, :3] @ (off_m * north_m)
+    rivals = rivals._replace(range_m=rivals.range_m + shift_m)
+    nothing, slow = np.zeros(gps.sum()), CONFIG.sigma.slow**2
+    alone = bound_position(used, np.zeros(3), nothing, ANTENNA_M, VarianceFactor(), slow)
+    both = bound_position(used, np.zeros(3), nothing, ANTENNA_M, VarianceFactor(), slow, rivals)
+    assert both.hpl_m > max(off_m, alone.hpl_m if off_m else 0.0)
+    # Either place with the same probability; Galileo's own errors move it by some metres.
+    sigma_m = np.sqrt(north_m @ (both.lasting_m2 - alone.lasting_m2) @ north_m)
+    assert sigma_m == pytest.approx(off_m / np.sqrt(2.0), abs=3.0)
