@@ -46,6 +46,13 @@ FAULTS = [
 ]  # fmt: skip
 
 
+# PX4's own failsafe acts 5.4 s after the loss, which counts as one after a second.
+SOON = (
+    "gps_lost and not landing -> eventually[0,7](not gps_lost or mode in [LAND, ALTCTL, DESCEND] "
+    "or landed)"
+)
+
+
 class Weakness(NamedTuple):
     """Wrong parameters of an autopilot, and the requirement that they endanger."""
 
@@ -63,7 +70,7 @@ WEAKNESSES = {
     "PX4: gates of GPS wide open": Weakness(
         "px4", "EKF2_GPS_P_GATE 100\nEKF2_GPS_V_GATE 100", "knows_its_place"),
     "PX4: dead reckoning for 10 s": Weakness(
-        "px4", "EKF2_NOAID_TOUT 10000000\nCOM_POS_FS_EPH -1", "gps_failsafe"),
+        "px4", "EKF2_NOAID_TOUT 10000000\nCOM_POS_FS_EPH -1", SOON),
     "PX4: one EKF, no vote among IMUs": Weakness(
         "px4", "EKF2_MULTI_IMU 0\nSENS_IMU_MODE 1\nSENS_IMU_AUTOCAL 0", "controlled"),
 }  # fmt: skip

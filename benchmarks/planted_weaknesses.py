@@ -25,8 +25,9 @@ import numpy as np
 import yaml
 
 from analysis import estimators
-from analysis.estimators.complementary import Mahony
+from analysis.estimators.complementary import Gains, Mahony
 from analysis.estimators.ekf import Ekf
+from analysis.estimators.ekf_kernel import Tuning
 from analysis.flying.worker_pool import InProcessPool
 from analysis.search.archive import Archive
 from analysis.search.history import RECORD
@@ -118,12 +119,12 @@ class Weakness:
                 setattr(controller, name, value)
 
 
-def ekf(**parameters: Any) -> Weakness:
-    return Weakness(lambda: Ekf(**parameters))
+def ekf(start_sigma: tuple[float, float, float] = Ekf().start_sigma, **wrong: float) -> Weakness:
+    return Weakness(lambda: Ekf(Tuning(**wrong), start_sigma))
 
 
-def mahony(**parameters: Any) -> Weakness:
-    return Weakness(lambda: Mahony(**parameters), Mahony)
+def mahony(**wrong: float) -> Weakness:
+    return Weakness(lambda: Mahony(Gains(**wrong)), Mahony)
 
 
 def hover(requirement: tuple[str, str], **constants: float) -> Weakness:
@@ -132,21 +133,21 @@ def hover(requirement: tuple[str, str], **constants: float) -> Weakness:
 
 WEAKNESSES = {
     "EKF: GPS timeout 1e6 s": ekf(gps_timeout_s=1e6),
-    "EKF: GPS timeout 0.3 s": ekf(gps_timeout_s=0.3, gravity_sigma_mps2=0.02),
-    "EKF: trusts GPS velocity (0.01 m/s)": ekf(velocity_sigma_mps=0.01),
-    "EKF: ignores GPS velocity (50 m/s)": ekf(velocity_sigma_mps=50.0),
-    "EKF: trusts the compass (0.001 rad)": ekf(heading_sigma_rad=0.001),
-    "EKF: ignores the compass (10 rad)": ekf(heading_sigma_rad=10.0),
+    "EKF: GPS timeout 0.3 s": ekf(gps_timeout_s=0.3, gravity_variance=0.02**2),
+    "EKF: trusts GPS velocity (0.01 m/s)": ekf(velocity_variance=0.01**2),
+    "EKF: ignores GPS velocity (50 m/s)": ekf(velocity_variance=50.0**2),
+    "EKF: trusts the compass (0.001 rad)": ekf(heading_variance=0.001**2),
+    "EKF: ignores the compass (10 rad)": ekf(heading_variance=10.0**2),
     "EKF: learns no gyro bias": ekf(bias_density=1e-9, start_sigma=(0.05, 1e-6, 0.5)),
     "EKF: gyro bias wanders (0.05)": ekf(bias_density=0.05),
     "EKF: trusts the gyro (1e-6)": ekf(gyro_density=1e-6),
-    "EKF: trusts the accelerometer (1e-4)": ekf(accel_density=1e-4, velocity_sigma_mps=0.02),
-    "Mahony: no tilt gain": mahony(tilt_gain=0.0),
-    "Mahony: tilt gain 4": mahony(tilt_gain=4.0),
-    "Mahony: no heading gain": mahony(heading_gain=0.0),
-    "Mahony: heading gain 20": mahony(heading_gain=20.0),
-    "Mahony: bias gain 0.5": mahony(bias_gain=0.5),
-    "Mahony: no bias gain": mahony(bias_gain=0.0),
+    "EKF: trusts the accelerometer (1e-4)": ekf(accel_density=1e-4, velocity_variance=0.02**2),
+    "Mahony: no tilt gain": mahony(tilt=0.0),
+    "Mahony: tilt gain 4": mahony(tilt=4.0),
+    "Mahony: no heading gain": mahony(heading=0.0),
+    "Mahony: heading gain 20": mahony(heading=20.0),
+    "Mahony: bias gain 0.5": mahony(bias=0.5),
+    "Mahony: no bias gain": mahony(bias=0.0),
     "controller: no integral": hover(PLACE, _INTEGRAL_GAIN=0.0),
     "controller: tilt limit 9 degrees": hover(PLACE, _HORIZONTAL_ACCEL_MPS2=1.5),
     "controller: speed gain a third": hover(PLACE, _SPEED_GAIN=0.8),

@@ -23,8 +23,8 @@ from analysis.search.cases import (
     write_cases,
 )
 from analysis.search.counterexample import Counterexample, reduce_case
-from analysis.search.evaluation.evaluation_job import evaluate_with
-from analysis.search.evaluation.evaluator import EvaluationOutcome, make_evaluator
+from analysis.search.evaluation.evaluation_job import evaluate_with, make_evaluator
+from analysis.search.evaluation.evaluator import EvaluationOutcome
 from analysis.search.history import RECORD, History
 from analysis.search.lanes import rows
 from analysis.search.lanes.noise_kernel import seed_of

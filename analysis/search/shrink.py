@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.evaluation.evaluator import make_evaluator
+from analysis.search.evaluation.evaluation_job import make_evaluator
 from analysis.search.space.dimensions import target_of
 from analysis.search.space.fault_range import healthy_value
 from analysis.search.space.test_file import (

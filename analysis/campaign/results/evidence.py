@@ -6,7 +6,8 @@
     campaign.yaml, rows/NAME.yaml   campaign files that make all numbers, or those of a row, again
 
 Bounds are those of Clopper and Pearson [1]_ for the share of failed flights, with a confidence of
-95 %. A hash covers all results of a row except the time they took.
+95 %. A hash covers all results of a row except the time they took, and under an autopilot except
+measured numbers.
 
 References
 ----------
@@ -64,7 +65,7 @@ def write_evidence(folder: Path, out: Path) -> None:
     grid = outcome_grid(results, campaign)
     tables = {
         "fmea": [fmea_row(campaign, row, cell, out) for row in grid for cell in row.cells],
-        "requirements": requirement_rows(results),
+        "requirements": requirement_rows(campaign, results),
     }
     for name, rows in tables.items():
         with (out / f"{name}.csv").open("w", newline="") as file:
@@ -96,11 +97,11 @@ def fmea_row(campaign: CampaignFile, row: GridRow, cell: GridCell, out: Path) ->
         "mitigation": _counts(failsafes) or "none",
         "severity": campaign.severity.get(cell.worst.outcome, cell.worst.outcome),
         **_failure_bounds(sum(campaign.fails(one) for one in flown), len(flown)),
-        **_provenance(cell.results, str(file.relative_to(out))),
+        **_provenance(campaign, cell.results, str(file.relative_to(out))),
     }
 
 
-def requirement_rows(results: Sequence[CellResult]) -> list[Row]:
+def requirement_rows(campaign: CampaignFile, results: Sequence[CellResult]) -> list[Row]:
     """Return a row for each subject and requirement."""
     names = dict.fromkeys((r.cell.subject, one.name) for r in results for one in r.requirements)
     rows = []
@@ -117,7 +118,7 @@ def requirement_rows(results: Sequence[CellResult]) -> list[Row]:
                 "worst": worst.describe(),
                 "in cell": where.cell.key,
                 **_failure_bounds(sum(not one.met for one in shown), len(shown)),
-                **_provenance(own, "campaign.yaml"),
+                **_provenance(campaign, own, "campaign.yaml"),
             }
         )
     return rows
@@ -188,8 +189,9 @@ def render_page(campaign: CampaignFile, tables: dict[str, list[Row]]) -> str:
     body = (
         f"<header><h1>{escape(name)}</h1></header><main>"
         "<p>Bounds: share of failed flights, 95 % confidence (Clopper and Pearson), for the "
-        "conditions flown here. A hash covers the results of a row except the time they took; the "
-        "command makes them again, in this folder.</p>" + "".join(parts) + "</main>"
+        "conditions flown here. A hash covers the results of a row except the time they took, and "
+        "under an autopilot except measured numbers; the command makes them again, in this folder."
+        "</p>" + "".join(parts) + "</main>"
     )
     return html_document(name, read_asset("page.css") + PRINTED, body, "")
 
@@ -209,24 +211,25 @@ def _failure_bounds(failed: int, flights: int) -> Row:
     return {"flights": str(flights), "failed": str(failed), "at least": low, "at most": high}
 
 
-def _provenance(results: Sequence[CellResult], file: str) -> Row:
-    """The hash of results, by names of scenarios without folders, and the command."""
-    lines = sorted(
-        msgspec.json.encode(
-            msgspec.structs.replace(
-                result, wall_s=0.0,
-                cell=msgspec.structs.replace(
-                    result.cell, scenario=result.cell.scenario.rpartition("/")[2]
-                ),
-            )
-        )
-        for result in results
-    )  # fmt: skip
+def _provenance(campaign: CampaignFile, results: Sequence[CellResult], file: str) -> Row:
+    """The hash of results, and the command that makes them again."""
+    lines = sorted(msgspec.json.encode(repeatable_part(campaign, result)) for result in results)
     command = ["mavproxy-fault", "campaign", file, "--evidence", "again"]
     return {
         "sha256": hashlib.sha256(b"\n".join(lines)).hexdigest(),
         "command": shlex.join(command),
     }
+
+
+def repeatable_part(campaign: CampaignFile, result: CellResult) -> dict[str, object]:
+    """What a repeated flight has in common with this one: all but the wall time and the scenario's
+    folder; under an autopilot no measured number, since its own clock and link vary them."""
+    fields = {**msgspec.structs.asdict(result), "wall_s": 0.0}
+    if campaign.autopilot(result.cell.subject) is not None:
+        fields = {key: value for key, value in fields.items() if not isinstance(value, float)}
+        fields["requirements"] = [(one.formula, one.met) for one in result.requirements]
+    scenario = result.cell.scenario.rpartition("/")[2]
+    return {**fields, "cell": msgspec.structs.replace(result.cell, scenario=scenario)}
 
 
 def _counts(counts: Counter[str]) -> str:

@@ -10,8 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flying.worker_pool import WorkerPool, run_jobs
-from analysis.search.evaluation.evaluator import EvaluationOutcome, Evaluator, make_evaluator
+from analysis.search.evaluation.compiled_batch import Batch
+from analysis.search.evaluation.evaluator import EvaluationOutcome, Evaluator
 from analysis.search.space.test_file import TestFile
+
+
+def make_evaluator(test: TestFile) -> Evaluator:
+    """Create the evaluator of a test."""
+    # The simulator's parts are loaded for tests that need them.
+    if test.simulated:
+        from analysis.search.evaluation.simulated_batch import SimulatedBatch
+
+        return SimulatedBatch(test)
+    return Batch(test)
 
 
 class EvaluationJob(NamedTuple):

@@ -86,15 +86,3 @@ class Evaluator(ABC):
         """Fly points (n, d) of the unit cube, each with its own noise, by seed and number."""
         draws = self.test.noise_draws if draws is None else draws
         return self.evaluate_values(self.space.values(points), seed, first, draws)
-
-
-def make_evaluator(test: TestFile) -> Evaluator:
-    """Create the evaluator of a test."""
-    # The simulator's parts are loaded for tests that need them.
-    if test.simulated:
-        from analysis.search.evaluation.simulated_batch import SimulatedBatch
-
-        return SimulatedBatch(test)
-    from analysis.search.evaluation.compiled_batch import Batch
-
-    return Batch(test)

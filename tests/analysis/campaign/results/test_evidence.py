@@ -8,8 +8,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from analysis.campaign.campaign_file import FaultChoice, read_campaign
-from analysis.campaign.results.evidence import describe_fault
+from analysis.campaign.campaign_file import FaultChoice, SubjectChoice, read_campaign
+from analysis.campaign.cell import Cell, CellResult
+from analysis.campaign.results.evidence import describe_fault, repeatable_part
 from mavproxy_fault import cli
 from mavproxy_fault.documents import extras
 
@@ -59,6 +60,20 @@ def test_without_scipy_nothing_is_flown(
     assert cli.main(["campaign", "small.yaml", "--evidence", "e", "--out", "c"]) == 2
     assert "pip install 'mavproxy-fault[falsify]'" in capsys.readouterr().err
     assert not Path("c").exists()
+
+
+@pytest.mark.parametrize(("subject", "same"), [("px4", True), ("mahony", False)])
+def test_only_under_an_autopilot_measured_numbers_may_differ(subject: str, same: bool) -> None:
+    px4 = SubjectChoice(name="px4", autopilot="px4", binary="px4")
+    campaign = msgspec.structs.replace(read_campaign(HERE / "small.yaml"), subjects=(px4, "mahony"))
+    cell = Cell(subject=subject, scenario="short.yaml", fault="gyro")
+    one = CellResult(cell=cell, outcome="detected", excursion_m=0.11, detected_s=0.42)
+    other = msgspec.structs.replace(one, excursion_m=0.07, detected_s=0.53, wall_s=9.0)
+    part = repeatable_part(campaign, one)
+    assert (repeatable_part(campaign, other) == part) == same
+    for worse in ({"outcome": "crashed"}, {"detected_s": None}, {"failed": "impact"}):
+        changed = msgspec.structs.replace(one, **worse)
+        assert repeatable_part(campaign, changed) != part
 
 
 def test_a_fault_is_described_by_its_kind_and_target() -> None:
