@@ -9,10 +9,7 @@ from typing import Any
 from mavproxy_fault.documents.errors import ConfigError
 
 LOG = logging.getLogger(__name__)
-EXTRAS = {
-    "ahrs": "ahrs", "allpairspy": "falsify", "foxglove": "mcap", "hatanaka": "rinex",
-    "matplotlib": "plots", "mcap": "mcap", "pyarrow": "parquet", "scipy": "falsify",
-}  # fmt: skip
+DISTRIBUTIONS = {"foxglove": "foxglove-sdk"}  # whose name is not that of their module
 
 
 def import_extra(name: str) -> Any:
@@ -43,5 +40,4 @@ def has_extra(package: str) -> bool:
 
 
 def _missing_text(package: str) -> str:
-    extra = EXTRAS[package]
-    return f"{package} is not installed; run pip install 'mavproxy-fault[{extra}]'"
+    return f"{package} is not installed; run pip install {DISTRIBUTIONS.get(package, package)}"
