@@ -69,8 +69,8 @@ except ConfigError as error:
 PYTEST = """
 import pytest
 code = pytest.main(sys.argv[1:])
-from mavproxy_fault.links import datagram_batch
-assert not datagram_batch.HAS_RECVMMSG
+from mavproxy_fault.links import datagrams
+assert not datagrams.HAS_RECVMMSG
 sys.exit(code)
 """
 

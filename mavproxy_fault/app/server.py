@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.compiled.layout import AHEAD_US
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links import datagram_batch
+from mavproxy_fault.links import datagrams
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
@@ -170,7 +170,7 @@ class Server:
 
     def prepare(self) -> None:
         """Load the compiled kernels; at first use, compile them in another process."""
-        if not datagram_batch.HAS_RECVMMSG:
+        if not datagrams.HAS_RECVMMSG:
             return
         try:
             from mavproxy_fault.compiled import object_file as kernels

@@ -23,6 +23,7 @@ PACKAGE = Path(__file__).parents[1]
 ENTRY = "compiled/sockets.py"
 IMPORTED = re.compile(r"^from mavproxy_fault\.(\w+(?:\.\w+)*) import (.+?)$", re.MULTILINE)
 NAME = "mavproxy_fault_forward"
+COUNTING = re.compile(r"^ *call void @NRT_(?:in|de)cref.*$", re.MULTILINE)
 PYTHON = ("Py", "numba_", "NRT_")  # beginnings of names that only exceptions need
 
 Forward = Callable[..., int]
@@ -94,7 +95,8 @@ def _compiled() -> bytes:
             compiled = cfunc(types.int64(SHARED), error_model="numpy")(forward)
         finally:
             config.OPT = before
-    module = llvm.parse_assembly(compiled.inspect_llvm())
+    # All arrays are borrowed; calls that count references would take most of a frame's time.
+    module = llvm.parse_assembly(COUNTING.sub("", compiled.inspect_llvm()))
     for function in module.functions:
         if function.name == compiled.native_name:
             function.name = NAME

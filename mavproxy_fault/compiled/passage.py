@@ -7,7 +7,7 @@ from typing import Any
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled import object_file
 from mavproxy_fault.compiled.compiled_core import CompiledCore
-from mavproxy_fault.links import datagram_batch
+from mavproxy_fault.links import datagrams
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 
@@ -55,7 +55,7 @@ class Passage(CompiledCore):
 
 def new_passage(core: Core, tape: CaptureBuffer) -> Passage | None:
     """A passage, whose machine code is made where there is none yet; None where it cannot be."""
-    if not datagram_batch.HAS_RECVMMSG:
+    if not datagrams.HAS_RECVMMSG:
         return None
     if object_file.load() is None:
         print("first use: compiling machine code, once, which takes up to a minute",

@@ -4,8 +4,7 @@ import socket
 import struct
 import time
 
-from mavproxy_fault.links import datagram_batch
-from mavproxy_fault.links.datagram_plain import PlainDatagrams
+from mavproxy_fault.links.datagrams import Datagrams
 from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers, host_port
 from mavproxy_fault.links.peers import Peers
 
@@ -39,9 +38,7 @@ class _UdpSocket:
     def __init__(self, host: str, port: int, *, listen: bool) -> None:
         self.sock = _open(host, port, listen=listen)
         self.counters = LinkCounters()
-        batched = datagram_batch.HAS_RECVMMSG
-        kind = datagram_batch.BatchedDatagrams if batched else PlainDatagrams
-        self._datagrams = kind(self.sock)
+        self._datagrams = Datagrams(self.sock)
 
     @property
     def lost_in_kernel(self) -> int:

@@ -21,7 +21,6 @@ from mavproxy_fault.proxy.interfaces import (
     NEVER_US,
     CommandResponder,
     Direction,
-    FaultEngine,
     LinkRole,
     Route,
     Send,
@@ -50,8 +49,9 @@ from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Junk, Parser, ParserCounters
 from mavproxy_fault.wire.signing import Signing
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # a proxy without faults starts faster without them
     from mavproxy_fault.fault_parts.fault import Outgoing
+    from mavproxy_fault.proxy.engine import Engine
     from mavproxy_fault.wire.label import Label
 
 HEARTBEAT = message_layout("HEARTBEAT").id
@@ -84,7 +84,7 @@ class Core:
     def __init__(
         self,
         links: Sequence[LinkRole],
-        engine: FaultEngine | None = None,
+        engine: "Engine | None" = None,
         *,
         signing: Signing | None = None,
         control: CommandResponder | None = None,

@@ -1,14 +1,10 @@
-"""Interfaces of the core: links by their role, the fault engine, and the command responder."""
+"""Interfaces of the core: links by their role, and the command responder."""
 
 from array import array
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 from mavproxy_fault.wire.frame import Frame
-
-if TYPE_CHECKING:  # a proxy without faults starts faster without them
-    from mavproxy_fault.fault_parts.fault import Outgoing
-    from mavproxy_fault.wire.label import Label
 
 NEVER_US = 1 << 62  # later than any timestamp (below `sender_rules.MAX_STAMP_US`)
 
@@ -44,46 +40,6 @@ class Route(NamedTuple):
 
 
 ANY = Route()
-
-
-class FaultEngine(Protocol):
-    """The fault engine: frames in, frames with due times out, in link time.
-
-    `wanted` are the ids of the messages it must see (None: all) and may change at any time;
-    `release_us` is the link time at which `due` has frames to release. `t0_us` is the start of the
-    schedule, `link_us` the link time of its newest input.
-    """
-
-    t0_us: int | None
-    link_us: int
-
-    @property
-    def wanted(self) -> frozenset[int] | None: ...
-
-    @property
-    def release_us(self) -> int | None: ...
-
-    def restart(self, t0_us: int) -> None:
-        """End active faults and restart the schedule at `t0_us`."""
-
-    def apply(
-        self, frame: Frame, direction: str, t_us: int, route: Route = ANY, *, sealed: bool = False
-    ) -> "list[Outgoing]":
-        """Process a frame; a sealed (signed) one may be delayed or dropped but not changed."""
-
-    def junk(
-        self, data: bytes | Frame, direction: str, t_us: int, route: Route, *, sealed: bool = False
-    ) -> "list[Outgoing]":
-        """Process bytes that are not a frame, or a frame of an unknown message."""
-
-    def due(self, t_us: int) -> "list[Outgoing]":
-        """Return buffered frames due by `t_us`."""
-
-    def drain_labels(self) -> "list[Label]":
-        """Return the labels begun or ended since the last call."""
-
-    def finish(self, t_us: int) -> "list[Label]":
-        """End every fault and return the last labels."""
 
 
 class CommandResponder(Protocol):

@@ -19,7 +19,7 @@ from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.app.replaying.playback import split_records
 from mavproxy_fault.compiled import object_file as machine
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links import datagram_batch
+from mavproxy_fault.links import datagrams
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
@@ -418,7 +418,7 @@ def test_a_fault_without_random_numbers_never_imports_numpy() -> None:
 def test_without_linux_system_calls_the_interpreted_path_is_used(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(datagram_batch, "HAS_RECVMMSG", False)
+    monkeypatch.setattr(datagrams, "HAS_RECVMMSG", False)
     monkeypatch.setattr(server_module.ctypes, "CDLL", lambda name: object())
     master = open_link("udpin:127.0.0.1:0")
     with udp() as station, udp() as vehicle:

@@ -1,18 +1,21 @@
-"""Datagrams received one by one with Python's sockets, for systems without `recvmmsg(2)`.
+"""Datagrams of one socket, received one by one; on Linux the compiled path receives batches.
 
-Addresses have the raw Linux form of `datagram_batch` on every system, so that their users (`peers`,
-the compiled path) need only one form.
+Addresses have the raw Linux form on every system, so that their users (`peers`, the compiled path)
+need only one form.
 """
 
 import socket
 import struct
+import sys
 
+# Whether the compiled path's system calls, recvmmsg(2) and sendmmsg(2), are there.
+HAS_RECVMMSG = sys.platform == "linux" and hasattr(socket, "MSG_DONTWAIT")
 BATCH = 64
 MAX_DATAGRAM = 65_536  # a shorter buffer would truncate silently
 V4, V6 = struct.Struct("=H2s4s8x"), struct.Struct("=H2s4s16sI")  # sockaddr_in, sockaddr_in6
 
 
-class PlainDatagrams:
+class Datagrams:
     """One non-blocking socket."""
 
     def __init__(self, sock: socket.socket) -> None:
