@@ -28,7 +28,7 @@ import socket, tempfile
 import numpy as np
 from analysis.estimators import make_estimator
 from analysis.estimators.estimator import Prior
-from analysis.field_maps.tlog_map import TLOG
+from analysis.field_maps.field_map import TLOG
 from analysis.report.flight_checks import _files
 from analysis.report.curves.panels import PANELS
 from analysis.samples.message_readers import SAMPLE_LINES

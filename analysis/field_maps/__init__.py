@@ -1,5 +1,6 @@
-"""Which field of which message is which quantity: one table per format of log.
+"""Which field of which message is which quantity: one table (`*.map`) per format of log.
 
 A *field map* serves the monitor, which takes samples from it, and the report, which takes curves,
-tracks and flags. `field_map` explains the form of the tables.
+tracks, flags and states. `field_map` explains the form of the tables, `autopilot_names` has the
+names of what autopilots give as numbers.
 """

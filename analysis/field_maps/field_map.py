@@ -6,7 +6,8 @@
 A line has three columns, two spaces apart: a target, a name and an expression over the fields of
 the message. Several words in braces stand for one line each. The target is a panel of the report
 (`panels`) with the name of a curve; `track` (latitude and longitude in degrees, altitude in m); a
-kind of flag (`FLAGS`) with its text; or, in capitals, a kind of sample (`analysis.samples.block`)
+kind of flag (`FLAGS`) with its text; a lane of the timeline (`STATES`), whose values
+are words; or, in capitals, a kind of sample (`analysis.samples.block`)
 with a condition on its rows (`all`) and the sample's numbers. `#1` behind it is a redundant sensor.
 A message with `first` behind its name gives the quantities of its first instance only.
 
@@ -17,12 +18,14 @@ An expression sees fields by their names, array fields with the element as the f
 import re
 from collections.abc import Iterator, Mapping
 from functools import cache
+from importlib.resources import files
 from types import CodeType
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.field_maps.autopilot_names import NAMES
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.rotations.rotation import (
     euler_from_quat,
@@ -34,7 +37,8 @@ from mavproxy_fault.numerics.rotations.rotation import (
 Columns = Mapping[str, NDArray[Any]]
 Values = NDArray[np.float64]
 
-TRACK, ALL = "track", "all"
+TRACK, ALL, STATE = "track", "all", "state"
+STATES = {STATE: "mode", "state-flag": "flag", "state-warn": "warn"}  # kinds of their spans
 FLAGS = ("flag", "warn", "rejected", "failsafe")
 UNUSED = 65535  # of a 16-bit field in MAVLink and ArduPilot
 UNKNOWN_M = 1e6  # u-blox reports an unknown accuracy as 2^32 mm
@@ -42,6 +46,11 @@ HIGH_V = 200.0  # above any battery: the log is old and gives hundredths
 MOST_HECTOPASCAL = 2000.0  # twice sea level; in pascal every pressure is above
 BRACES = re.compile(r"\{([^}]*)\}")
 NOTHING: Mapping[str, float] = {}
+# Standard deviations at which PX4 rejects a measurement, by its defaults.
+GATES = {
+    "EKF2_GPS_P_GATE": 5.0, "EKF2_GPS_V_GATE": 5.0, "EKF2_BARO_GATE": 5.0, "EKF2_HDG_GATE": 2.6,
+    "EKF2_MAG_GATE": 3.0, "EKF2_TAS_GATE": 3.0,
+}  # fmt: skip
 
 
 class MapLine(NamedTuple):
@@ -56,7 +65,8 @@ class MapLine(NamedTuple):
     @property
     def is_curve(self) -> bool:
         """Whether the line gives a curve of the report."""
-        return self.target != TRACK and self.target not in FLAGS and not self.target[0].isupper()
+        others = (TRACK, *FLAGS, *STATES)
+        return self.target not in others and not self.target[0].isupper()
 
 
 FieldMap = Mapping[str, tuple[MapLine, ...]]
@@ -66,7 +76,9 @@ def read_map(text: str) -> FieldMap:
     """The lines of a table by message."""
     found: dict[str, list[MapLine]] = {}
     header = ""
-    for row in filter(None, text.replace("\\\n", " ").splitlines()):
+    for row in text.replace("\\\n", " ").splitlines():
+        if row.startswith("#"):
+            continue
         if not row[0].isspace():
             header = row
             continue
@@ -231,6 +243,17 @@ def _quat(roll: Values, pitch: Values, yaw: Values) -> Values:
     return quat_from_euler(*(np.asarray(angle, float) for angle in (roll, pitch, yaw))).T
 
 
+def _named(names: Mapping[int, str], numbers: NDArray[Any], other: str = "mode {}") -> NDArray[Any]:
+    """Names (n,) of numbers."""
+    every, which = np.unique(numbers, return_inverse=True)
+    return np.array([names.get(int(n), other.format(n)) for n in every])[which]
+
+
+def _numbered(word: str, numbers: NDArray[Any]) -> NDArray[Any]:
+    """Names (n,) of instances, which count from 0 in logs and from 1 in reports."""
+    return np.array([f"{word} {int(n) + 1}" for n in numbers])
+
+
 def _unit(q: Values) -> Values:
     """Quaternions (4, n) of length one; an all-zero one is no attitude."""
     with np.errstate(invalid="ignore"):
@@ -255,8 +278,18 @@ FUNCTIONS: dict[str, Any] = {
     "most": lambda *parts: np.max(np.abs(np.array(parts, float)), axis=0),
     "above_0": lambda raw: np.where(raw > 0, raw, np.nan), "twelve": _twelve,
     "bit": lambda flags, i: np.asarray(flags).astype(np.int64) >> i & 1 == 1,
-    "at_least": np.maximum,
+    "at_least": np.maximum, "named": _named, "numbered": _numbered,
+    "NAV_STATES": NAMES["PX4 navigation state"], "JAMMING": {2: "warning", 3: "critical"},
+    "SPOOFING": {2: "indicated", 3: "multiple indications"},
+    "LANDED": {1: "landed", 2: "flying", 3: "flying", 4: "flying"},  # MAV_LANDED_STATE
     # Places in `block.SOURCES` of the messages that a sample may be of.
     "HIL_GPS": 0, "GPS_RAW_INT": 1, "ATTITUDE": 2, "ATTITUDE_QUATERNION": 3,
     "HIL_ACTUATOR_CONTROLS": 4, "OUTPUTS": 5,
 }  # fmt: skip
+
+
+def _table(name: str) -> FieldMap:
+    return read_map((files(__package__) / name).read_text(encoding="utf-8"))
+
+
+TLOG, ULOG, DATAFLASH = _table("tlog.map"), _table("ulog.map"), _table("dataflash.map")

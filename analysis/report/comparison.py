@@ -34,7 +34,7 @@ def overlay_flights(outcome: FlightAssessment, others: Sequence[FlightAssessment
             if s.panel in panels
         ]
         tracks += [
-            replace(t, name=f"{t.name} · {name}", t_s=t.t_s + shift_s) for t in theirs.tracks
+            t._replace(name=f"{t.name} · {name}", t_s=t.t_s + shift_s) for t in theirs.tracks
         ]
         notes.append(f"compared with {name}, shifted by {shift_s:+.2f} s ({why})")
     return replace(recording, signals=signals, tracks=tracks, notes=notes)

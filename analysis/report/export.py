@@ -13,8 +13,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.flight_logs.dataflash import HEAD, is_dataflash, read_dataflash
-from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
+from analysis.recordings.flight_logs.autopilot_logs import is_autopilot_log, read_topics
 from analysis.report.curves.recording import FlightData
 from analysis.report.foxglove_views import write_views
 from analysis.results import encode, read_results
@@ -58,16 +57,9 @@ def read_tables(path: Path, *, with_results: bool = True) -> Iterator[tuple[str,
         if with_results:
             yield from _result_tables(path / "results.jsonl")
         return
-    # Formats are recognised by their first bytes, as logs are often renamed.
-    with path.open("rb") as file:
-        head = file.read(HEAD)
-    if is_dataflash(head):
-        for (name, instance), topic in read_dataflash(path).topics.items():
+    if is_autopilot_log(path):
+        for (name, instance), topic in read_topics(path).topics.items():
             yield f"{name}_{instance}", topic
-        return
-    if is_ulog(head):
-        for (name, instance), topic in read_ulog(path).topics.items():
-            yield f"{name}_{instance}", dict(topic)
         return
     for name, rows in tlog.read_columns(path).items():
         yield name, _flat(rows)

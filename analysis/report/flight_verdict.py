@@ -22,6 +22,7 @@ from analysis.scoring.criteria import Criteria, check_missed_faults
 from analysis.scoring.requirements import RequirementResult, read_requirements
 from analysis.scoring.vehicle_outcome import is_crash_text
 
+MET = {True: PASS, False: FAIL, None: NONE}
 # Checks of the autopilot's own alarms, which are expected while a fault is injected.
 AUTOPILOT_ALARMS = {
     "GPS fix", "GPS satellites", "GPS dilution of precision", "GPS jumps", "GPS jamming indicator",
@@ -79,22 +80,15 @@ def _expected(check: FlightCheck, recording: FlightData) -> FlightCheck:
 
 
 def _criterion(row: Mapping[str, Any]) -> FlightCheck:
-    words = {True: PASS, False: FAIL, None: NONE}
-    return FlightCheck(
-        name=f"criterion: {row['name']}",
-        verdict=words[row["passed"]],
-        evidence="no value" if row["value"] is None else str(row["value"]),
-        limit=str(row["limit"]),
-    )
+    evidence = "no value" if row["value"] is None else str(row["value"])
+    verdict = MET[row["passed"]]
+    return FlightCheck(f"criterion: {row['name']}", verdict, evidence, str(row["limit"]))
 
 
 def _requirement_check(one: RequirementResult) -> FlightCheck:
+    windows = () if one.at_s is None or one.met else ((one.at_s, one.at_s),)
     return FlightCheck(
-        name=f"requirement: {one.name}",
-        verdict={True: PASS, False: FAIL, None: NONE}[one.met],
-        evidence=one.describe(),
-        limit=one.formula,
-        windows=() if one.at_s is None or one.met else ((one.at_s, one.at_s),),
+        f"requirement: {one.name}", MET[one.met], one.describe(), one.formula, windows
     )
 
 
@@ -120,8 +114,8 @@ def _summary(
     faults: Sequence[Mapping[str, Any]],
 ) -> dict[str, Any]:
     recording, run = flight.recording, flight.summary
-    position = [s for s in recording.of("position-error") if s.name in ("fused", "estimate")]
-    position_rmse_m = _rms(position[0].value) if position else None
+    position = recording.curve("position-error", "fused", "estimate")
+    position_rmse_m = _rms(position.value) if position else None
     return {
         "verdict": verdict,
         "outcome": msgspec.to_builtins(vehicle_outcome(recording)),
@@ -144,21 +138,9 @@ def _summary(
         "identity": recording.identity,
         "flight": dict(flight_facts(recording)),
         "signals": _numbers(recording),
-        "links": [
-            {
-                "log": link.log, "system": link.system, "component": link.component,
-                "frames": link.frames, "lost": link.lost, "longest_gap_s": link.longest_gap_s,
-            }
-            for link in recording.links
-        ],
-        "spans": [
-            {"lane": s.lane, "start_s": s.start_s, "end_s": s.end_s, "text": s.text}
-            for s in recording.spans
-        ],
-        "events": [
-            {"t_s": round(e.t_s, 3), "kind": e.kind, "text": e.text, "severity": e.severity}
-            for e in recording.events
-        ],
+        "links": [link._asdict() for link in recording.links],
+        "spans": [span._asdict() for span in recording.spans],
+        "events": [event._replace(t_s=round(event.t_s, 3))._asdict() for event in recording.events],
         "parameters": {name: values[-1][1] for name, values in recording.parameters.items()},
         "notes": recording.notes,
         "size": recording.size,
@@ -175,8 +157,8 @@ def _attitude_rmse(recording: FlightData) -> dict[str, float] | None:
     """RMSE of the autopilot's attitude if the log holds the truth."""
     found = {}
     for part in ("roll", "pitch", "yaw"):
-        own = [s for s in recording.of(f"error-{part}") if s.name == "autopilot"]
-        value = _rms(own[0].value) if own else None
+        own = recording.curve(f"error-{part}", "autopilot")
+        value = _rms(own.value) if own else None
         if value is not None:
             found[part] = value
     # All three axes are needed: a maximum over fewer would be too small.

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis.processes import spawn_context
-from analysis.report.judging.checks import RANK
+from analysis.report.judging.checks import worst_first
 from analysis.report.log_report import report_log
 from analysis.report.page.index_page import UNREADABLE, index_html
 from analysis.report.recordings.log_paths import PACKED
@@ -136,8 +136,7 @@ def _report_one(path: Path, out: Path, name: str, args: argparse.Namespace) -> R
         # An unreadable log becomes a row of the index.
         failed = {"verdict": UNREADABLE, "worst": [str(error)]}
         return {"name": name, "report": "", "duration_s": None, "autopilot": ""} | failed
-    bad = [check for check in outcome.checks if check.verdict in ("WARN", "FAIL")]
-    bad.sort(key=lambda check: -RANK[check.verdict])
+    bad = worst_first(outcome.checks)
     recording = outcome.flight.recording
     return {
         "name": name,

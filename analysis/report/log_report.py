@@ -18,7 +18,8 @@ from analysis.report.page.page_file import page_html
 from analysis.report.page.pdf_file import write_pdf
 from analysis.report.recordings.flight_sources import read_flight
 from analysis.report.recordings.log_paths import log_file
-from analysis.report.report_files import write_json, write_junit
+from analysis.report.report_files import write_junit
+from analysis.report.run_folder import write_summary
 from mavproxy_fault.documents.atomic_file import write_atomic
 
 
@@ -74,5 +75,5 @@ def write_report(
     page = log_page(outcome, tables)
     fields = field_data(recording.messages, data, folder)
     write_atomic(folder / "report.html", page_html(page, recording, fields))
-    write_json(folder / "summary.json", outcome.summary)
+    write_summary(folder, outcome.summary)
     write_junit(folder / "junit.xml", recording.name, outcome.checks)

@@ -10,7 +10,7 @@ import msgspec
 
 from analysis.report.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.judging.check_limits import read_thresholds
-from analysis.report.judging.checks import FAIL, FlightCheck, chain_text
+from analysis.report.judging.checks import FAIL, chain_text, worst_first
 from analysis.report.log_folder import is_run_folder, report_folder
 from analysis.report.log_report import write_optional_outputs, write_report
 from analysis.report.recordings.flight_sources import group_logs, read_flight
@@ -92,10 +92,9 @@ def print_outcome(outcome: FlightAssessment, folder: Path) -> None:
     console.print(Text(recording.name, "bold"), f" {recording.duration_s:.0f} s")
     found = msgspec.convert(outcome.summary["outcome"], VehicleOutcome)
     console.print(f"  vehicle {describe_vehicle(found)}")
-    for check in sorted(outcome.checks, key=_worst_first):
-        if check.verdict in ("WARN", "FAIL"):
-            word = Text(check.verdict, colours[check.verdict])
-            console.print(" ", word, f" {check.name}: {check.evidence}")
+    for check in worst_first(outcome.checks):
+        word = Text(check.verdict, colours[check.verdict])
+        console.print(" ", word, f" {check.name}: {check.evidence}")
     if order := chain_text(outcome.checks):
         console.print(f"  in order: {order}")
     passed = sum(check.verdict == "PASS" for check in outcome.checks)
@@ -106,7 +105,3 @@ def print_outcome(outcome: FlightAssessment, folder: Path) -> None:
         console.print(f"  fault {row['id']}: {row['verdict']}{delay}")
     verdict = Text(outcome.verdict, colours.get(outcome.verdict, "white"))
     console.print("  verdict", verdict, f" {folder / 'report.html'}")
-
-
-def _worst_first(check: FlightCheck) -> int:
-    return {"FAIL": 0, "WARN": 1}.get(check.verdict, 2)

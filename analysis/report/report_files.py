@@ -1,20 +1,10 @@
-"""Write `summary.json` and JUnit XML of a report."""
+"""Write the JUnit XML of a report."""
 
-import json
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from analysis.report.judging.checks import FAIL, NONE, FlightCheck
-from analysis.report.run_folder import replace_nonfinite
-from mavproxy_fault.documents.atomic_file import write_atomic
-
-
-def write_json(path: Path, summary: dict[str, Any]) -> None:
-    """Write a summary; non-finite numbers become null."""
-    text = json.dumps(replace_nonfinite(summary), indent=1, allow_nan=False, ensure_ascii=False)
-    write_atomic(path, text + "\n")
 
 
 def write_junit(path: Path, name: str, checks: Sequence[FlightCheck]) -> None:

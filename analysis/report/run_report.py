@@ -5,13 +5,17 @@ from pathlib import Path
 from typing import Any
 
 from analysis.report.curves.derived_curves import add_derived_curves
-from analysis.report.curves.panels import DETECTION, FUSION
+from analysis.report.curves.panels import DETECTION
 from analysis.report.curves.recording import FlightData, join_recordings
 from analysis.report.page.field_data import INSIDE_MB, field_data
-from analysis.report.page.fused_table import fused_table
 from analysis.report.page.page_file import page_html
 from analysis.report.page.page_parts import SENSOR_LIMIT, ReportPage
-from analysis.report.page.report_tables import criteria_reasons, matrix_table, run_facts, run_tables
+from analysis.report.page.report_tables import (
+    criteria_reasons,
+    result_tables,
+    run_facts,
+    run_tables,
+)
 from analysis.report.recordings.from_results import axis_start, recording_of_results
 from analysis.report.recordings.from_tlog import recording_of_tlog
 from analysis.results import Result
@@ -62,12 +66,7 @@ def write_run_report(
         t0_us = flight.t0_us
     analysed = recording_of_results(labels, results, t0_us)
     together = add_derived_curves(join_recordings(join_recordings(flight, analysed), beside))
-    tables = run_tables(summary)
-    matrix, fused = matrix_table(labels, results), fused_table(together)
-    if matrix is not None:
-        tables.append((DETECTION, matrix))
-    if fused is not None:
-        tables.append((FUSION, fused))
+    tables = run_tables(summary) + result_tables(labels, results, together)
     reasons, verdict = criteria_reasons(summary), str(summary.get("verdict", ""))
     shown = [(DETECTION, *picture) for picture in pictures]
     page = ReportPage(title, verdict, run_facts(summary), tables, SENSOR_LIMIT, reasons, shown)

@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.field_maps.field_map import Columns, chosen_rows, rows_of
-from analysis.field_maps.tlog_map import TLOG
+from analysis.field_maps.field_map import TLOG, Columns, chosen_rows, rows_of
 from analysis.samples import block
 from analysis.samples.block import SPARE, Indices, Stamps
 from analysis.samples.sample import Vector

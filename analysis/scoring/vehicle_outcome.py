@@ -97,7 +97,7 @@ class VehicleRecord(NamedTuple):
     `errors_m`, `errors_deg` are the errors of the autopilot's estimates as (times, values).
     `alarms` are the autopilot's warnings, `force` is the accelerometers' norm.
     `expelled` are changes of mode that the log itself calls a failsafe; a vehicle that `hovers`
-    stays in its place in some modes.
+    stays in its place in some modes, but while it is `steered`.
     """
 
     motion: VehicleMotion | None
@@ -111,6 +111,7 @@ class VehicleRecord(NamedTuple):
     errors_deg: tuple[Vector, Vector] | None = None
     force: tuple[Vector, Vector] | None = None
     hovers: bool = False
+    steered: Sequence[tuple[float, float]] = ()
 
 
 class VehicleEvent(msgspec.Struct, frozen=True):
@@ -421,7 +422,12 @@ def _find_departure(
         if not inside.any():
             continue
         north_m, east_m, t_s = motion.north_m[inside], motion.east_m[inside], motion.t_s[inside]
-        apart_m = np.hypot(north_m - north_m[0], east_m - east_m[0])
+        steered = np.zeros(len(t_s), bool)
+        for begin_s, stop_s in record.steered:
+            steered |= (t_s >= begin_s) & (t_s <= stop_s)
+        # The place that is held is where a pilot last let it go.
+        begun = np.maximum.accumulate(np.where(steered, np.arange(len(t_s)), 0))
+        apart_m = np.hypot(north_m - north_m[begun], east_m - east_m[begun])
         farthest_m = max(farthest_m, float(apart_m.max()))
         left_s = min(left_s, *t_s[apart_m > DEGRADED_M][:1].tolist(), flown[1])
         events += _departure(t_s, apart_m, "left its place")

@@ -26,7 +26,9 @@ from analysis.web.access_control import (
     refusal_answer,
 )
 from analysis.web.feed import Feed
+from analysis.web.form_data import fault_catalogue, preview_entry
 from analysis.web.run_source import RunSource
+from analysis.web.sequence import check_sequence, refuse_commands
 from analysis.web.sequence_folder import SequenceFolder
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -93,13 +95,13 @@ class LivePage:
         return file_answer(self._feed.report)
 
     async def _catalogue(self, request: Request) -> Response:
-        # In a thread: the first call loads the faults, which takes longer than a tick.
-        return await data_answer(load_catalogue)
+        # In a thread: the first call takes longer than a tick.
+        return await data_answer(fault_catalogue)
 
     async def _preview(self, request: Request) -> Response:
         try:
             body = await read_body(request)
-            return JSONResponse(await run_in_threadpool(load_preview, body))
+            return JSONResponse(await run_in_threadpool(preview_entry, body))
         except ConfigError as error:  # an incomplete form is not an error
             return JSONResponse({"curves": [], "error": str(error)}, headers=HEADERS)
 
@@ -111,7 +113,7 @@ class LivePage:
         return await action_answer(request, act)
 
     async def _check(self, request: Request) -> Response:
-        return await action_answer(request, check_body)
+        return await action_answer(request, check_sequence)
 
     async def _allowed(self, request: Request) -> Response:
         """What the token allows: commands to the vehicle, stored sequences."""
@@ -120,11 +122,11 @@ class LivePage:
 
     async def _read(self, request: Request) -> Response:
         name = request.path_params["name"]
-        return await action_answer(request, lambda _: check_body(self._sequences.read(name)))
+        return await action_answer(request, lambda _: check_sequence(self._sequences.read(name)))
 
     async def _write(self, request: Request) -> Response:
         def act(body: bytes) -> dict[str, Any]:
-            self._sequences.write(request.path_params["name"], check_body(body)["yaml"])
+            self._sequences.write(request.path_params["name"], check_sequence(body)["yaml"])
             return {"sequences": self._sequences.names()}
 
         return await action_answer(request, act)
@@ -169,49 +171,3 @@ async def send_batches(socket: WebSocket, queue: "asyncio.Queue[str]") -> None:
     with contextlib.suppress(WebSocketDisconnect, RuntimeError):
         while True:
             await socket.send_text(await queue.get())
-
-
-def load_catalogue() -> bytes:
-    """The fault catalogue; faults are imported at the first request, not at the start."""
-    from analysis.web.form_data import fault_catalogue
-
-    return fault_catalogue()
-
-
-def load_preview(body: bytes) -> dict[str, Any]:
-    """The preview of an entry, imported lazily too.
-
-    Raises
-    ------
-    ConfigError
-        If the entry is invalid.
-    """
-    from analysis.web.form_data import preview_entry
-
-    return preview_entry(body)
-
-
-def check_body(body: bytes) -> dict[str, Any]:
-    """A test sequence as a schedule file and as steps, imported lazily too.
-
-    Raises
-    ------
-    ConfigError
-        If it is invalid.
-    """
-    from analysis.web.sequence import check_sequence
-
-    return check_sequence(body)
-
-
-def refuse_commands(what: str, body: bytes) -> None:
-    """Refuse a query that commands the vehicle, imported lazily too.
-
-    Raises
-    ------
-    ConfigError
-        If it does.
-    """
-    from analysis.web.sequence import refuse_commands
-
-    refuse_commands(what, body)

@@ -3,10 +3,17 @@
 import numpy as np
 import pytest
 
-from analysis.field_maps.dataflash_map import DATAFLASH
-from analysis.field_maps.field_map import FLAGS, TRACK, read_map, rows_of, values_of
-from analysis.field_maps.tlog_map import TLOG
-from analysis.field_maps.ulog_map import ULOG
+from analysis.field_maps.field_map import (
+    DATAFLASH,
+    FLAGS,
+    STATES,
+    TLOG,
+    TRACK,
+    ULOG,
+    read_map,
+    rows_of,
+    values_of,
+)
 from analysis.recordings.flight_logs.autopilot_logs import KINDS
 from analysis.report.curves.panels import BY_KEY
 
@@ -40,4 +47,4 @@ def test_arrays_of_all_formats_have_the_element_as_the_first_axis() -> None:
 def test_every_line_is_of_a_panel_or_of_another_known_kind(table) -> None:
     for line in (line for lines in table.values() for line in lines):
         kind = line.target.partition("#")[0]
-        assert kind in (*BY_KEY, *FLAGS, TRACK, *KINDS, "VISION", "TRUTH"), line
+        assert kind in (*BY_KEY, *FLAGS, *STATES, TRACK, *KINDS, "VISION", "TRUTH"), line

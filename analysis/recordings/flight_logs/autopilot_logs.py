@@ -4,29 +4,22 @@ Detectors use the first sensor of each kind; redundant IMUs, magnetometers, baro
 are read for voting. The autopilot's attitude estimate is read too.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.field_maps.dataflash_map import DATAFLASH
-from analysis.field_maps.field_map import MapLine, rows_of
-from analysis.field_maps.ulog_map import ULOG
-from analysis.recordings.flight_logs.dataflash import (
-    HEAD,
-    DataflashFile,
-    is_dataflash,
-    read_dataflash,
-)
+from analysis.field_maps.field_map import DATAFLASH, ULOG, MapLine, rows_of
+from analysis.recordings.flight_logs.autopilot_log import CORRUPTED, AutopilotLog
+from analysis.recordings.flight_logs.dataflash import HEAD, is_dataflash, read_dataflash
 from analysis.recordings.flight_logs.log_condition import (
-    CORRUPTED,
     LogCondition,
     dataflash_losses,
     ulog_losses,
 )
-from analysis.recordings.flight_logs.ulog import ULogFile, is_ulog, read_ulog
+from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
 from analysis.samples import block
 from analysis.samples.block import (
     FIX,
@@ -44,6 +37,7 @@ from analysis.samples.block import (
 )
 from mavproxy_fault.documents.errors import ConfigError
 
+Rows = NDArray[np.void]
 Topic = Mapping[str, NDArray[Any]]
 Topics = Mapping[tuple[str, int], Topic]
 FIX_3D = 3
@@ -72,6 +66,18 @@ def is_autopilot_log(path: Path) -> bool:
     return is_ulog(head) or is_dataflash(head)
 
 
+def read_topics(
+    path: Path,
+    only: Collection[str] | None = None,
+    thin: Callable[[Rows], Rows] = lambda rows: rows,
+    progress: Callable[[float], None] = lambda _: None,
+) -> AutopilotLog:
+    """Read a ULog or a dataflash log (`read_ulog`, `read_dataflash`)."""
+    with path.open("rb") as file:
+        ulog = is_ulog(file.read(HEAD))
+    return read_ulog(path, progress, thin) if ulog else read_dataflash(path, only, thin)
+
+
 def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Block:
     """Read the samples of a ULog or a dataflash log in order of time; notes lost parts in
     `condition`.
@@ -81,15 +87,16 @@ def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Blo
     ConfigError
         If the log lacks IMU or GPS samples; the tests need both.
     """
-    with path.open("rb") as file:
-        ulog = is_ulog(file.read(HEAD))
-    log = read_ulog(path) if ulog else read_dataflash(path, READ)
+    log = read_topics(path, READ)
     if condition is not None:
-        _add_losses(condition, log)
-    topics = log.topics if ulog else _with_accuracy(log.topics)
-    stamp = "timestamp" if ulog else "TimeUS"
-    found = list(_parts(topics, ULOG_SAMPLES if ulog else DATAFLASH_SAMPLES, stamp))
-    missing = [name for kind, name in ((IMU, "IMU"), (FIX, "GPS")) if not _has_kind(found, kind)]
+        # An incomplete last message is normal: loggers are usually switched off while writing.
+        condition.damage += [CORRUPTED] if log.corrupted else []
+        condition.lost_us += ulog_losses(log.dropouts) + dataflash_losses(log.topics)
+    px4 = log.autopilot == "px4"
+    topics = log.topics if px4 else _with_accuracy(log.topics)
+    found = list(_parts(topics, ULOG_SAMPLES if px4 else DATAFLASH_SAMPLES, log.stamp))
+    kinds = {kind for kind, _, _ in found}
+    missing = [name for kind, name in ((IMU, "IMU"), (FIX, "GPS")) if kind not in kinds]
     if missing:
         raise ConfigError(
             f"{path}: holds no samples of {' and '.join(missing)}; the monitor needs a log in "
@@ -106,16 +113,6 @@ def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Blo
     )
 
 
-def _add_losses(condition: LogCondition, log: ULogFile | DataflashFile) -> None:
-    """Note in `condition` what a log has lost."""
-    # An incomplete last message is normal: loggers are usually switched off while writing.
-    condition.damage += [CORRUPTED] if log.corrupted else []
-    if isinstance(log, ULogFile):
-        condition.lost_us += ulog_losses(log.dropouts)
-        return
-    condition.lost_us += dataflash_losses(log.topics)
-
-
 def _with_accuracy(topics: Topics) -> Topics:
     """Add each receiver's accuracy, which ArduPilot logs in GPA, to its GPS topic."""
     found = dict(topics)
@@ -127,10 +124,6 @@ def _with_accuracy(topics: Topics) -> Topics:
         newest = np.maximum(np.searchsorted(said["TimeUS"], fixes["TimeUS"], "right") - 1, 0)
         found["GPS", number] = {**fixes, **{name: said[name][newest] for name in ("HAcc", "VAcc")}}
     return found
-
-
-def _has_kind(found: Iterable[tuple[int, Any, Any]], kind: int) -> bool:
-    return any(number == kind for number, _, _ in found)
 
 
 def _parts(

@@ -5,13 +5,12 @@ scales them, with `TimeUS` in microseconds (`log_time`), in old logs from `TimeM
 """
 
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.recordings.flight_logs.autopilot_log import AutopilotLog, Topic
 from analysis.recordings.flight_logs.dataflash_blocks import (
     BlockWalk,
     read_formats,
@@ -19,12 +18,11 @@ from analysis.recordings.flight_logs.dataflash_blocks import (
     walk_blocks,
 )
 from analysis.recordings.flight_logs.dataflash_formats import FIRST, MAGIC, TYPES, MessageFormat
-from analysis.recordings.flight_logs.log_time import RowStamps, RowTimes, place_rows
+from analysis.recordings.flight_logs.log_time import RowStamps, place_rows
 from analysis.recordings.flight_logs.misdated_stamps import find_misdated
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.written import written_bytes
 
-Topic = dict[str, NDArray[Any]]
 Rows = NDArray[np.void]
 HEAD = 4096  # bytes of a file that show its kind: text may stand in front of a log
 NUMBERED = ("IMU", "MAG", "GPS", "GPA", "BARO", "BAT", "CURR")  # old logs: IMU2 is instance 1
@@ -32,32 +30,6 @@ RATES = {"R", "P", "Y", "RDes", "PDes", "YDes"}
 # Fields with the number of the sensor or core.
 INSTANCES = ("I", "C", "Instance", "Inst", "IMU")
 MOST_INSTANCES = 32  # of motors; a larger number is a wrong byte
-
-
-@dataclass(frozen=True, slots=True)
-class DataflashFile:
-    """Contents of a dataflash log.
-
-    Attributes
-    ----------
-    topics : dict
-        Columns, with `TimeUS`, by message name and instance (from 0).
-    start_us, end_us : int
-        First and last time.
-    times : RowTimes
-        What was found out about the stamps.
-    corrupted : bool
-        Whether bytes or messages with an impossible time were skipped.
-    cut : bool
-        Whether the file ends within a message.
-    """
-
-    topics: Mapping[tuple[str, int], Topic]
-    start_us: int
-    end_us: int
-    times: RowTimes
-    corrupted: bool
-    cut: bool
 
 
 def is_dataflash(head: bytes) -> bool:
@@ -69,7 +41,7 @@ def read_dataflash(
     path: str | Path,
     only: Collection[str] | None = None,
     thin: Callable[[Rows], Rows] = lambda rows: rows,
-) -> DataflashFile:
+) -> AutopilotLog:
     """Read a dataflash log, block by block.
 
     Parameters
@@ -112,7 +84,7 @@ def read_dataflash(
     _rates_in_degrees(topics)
     ends = [(topic["TimeUS"][0], topic["TimeUS"][-1]) for topic in topics.values()]
     start_us, end_us = min(first for first, _ in ends), max(last for _, last in ends)
-    return DataflashFile(topics, int(start_us), int(end_us), times, corrupted, walk.cut)
+    return AutopilotLog("ardupilot", topics, int(start_us), int(end_us), times, corrupted, walk.cut)
 
 
 def _in_order(topic: Topic) -> tuple[Topic, bool]:

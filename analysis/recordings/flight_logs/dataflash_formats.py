@@ -79,13 +79,17 @@ class MessageFormat:
         return np.dtype([("at", "<i8"), *zip(self.columns, kinds, strict=True)])
 
 
-def parse_format(raw: bytes) -> MessageFormat | None:
-    """The format in an FMT message of `FORMAT_BYTES` bytes; None if it is beyond repair."""
+def parse_format(raw: bytes, *, by_length: bool = False) -> MessageFormat | None:
+    """The format in an FMT message of `FORMAT_BYTES` bytes; None if it is beyond repair.
+
+    Where the characters do not fit the length, the characters count, or the length (`by_length`).
+    """
     number, length, *texts = struct.unpack("<BB4s16s64s", raw[HEAD:FORMAT_BYTES])
     name, codes, listed = (text.split(b"\0", 1)[0].decode("latin-1") for text in texts)
     columns = [column for column in listed.split(",") if column]
-    # A wrong byte may end the characters early, or follow them.
-    ways = (codes, texts[1].rstrip(b"\0").decode("latin-1"), codes[:-1])
+    # A wrong byte may end the characters early, or follow them; then there is a column less.
+    ways = [codes, texts[1].rstrip(b"\0").decode("latin-1")]
+    ways += [codes[:-1]] if len(columns) == len(codes) - 1 else []
     fitting = [way for way in ways if HEAD + sum(SIZES.get(code, 0) for code in way) == length]
     fitting = [way for way in fitting if SIZES.keys() >= set(way)] or [
         way for way in ways if len(way) == len(columns)
@@ -101,7 +105,11 @@ def parse_format(raw: bytes) -> MessageFormat | None:
     if not broken and excess and len(columns) == len(codes):
         # One character became another one; the length may be wrong instead.
         could = [i for i, size in enumerate(sizes) if size - excess in SIZES.values() and i]
-        broken = could[:1] if len(could) == 1 else []
+        if could and by_length:
+            # Which of them is open: the columns between them are unreadable as a whole.
+            first, behind = could[0], could[-1] + 1
+            broken, codes = [first], codes[:first] + "?" + codes[behind:]
+            sizes[first:behind], columns[first + 1 : behind] = [sum(sizes[first:behind])], []
     if len(broken) == 1:
         # The length gives the size of the one column that cannot be read.
         sizes[broken[0]] -= HEAD + sum(sizes) - length
@@ -156,10 +164,11 @@ def find_formats(data: bytes) -> list[MessageFormat]:
     for at in sorted(places):
         raw = data[at : at + FORMAT_BYTES]
         form = parse_format(raw) if len(raw) == FORMAT_BYTES else None
+        other = parse_format(raw, by_length=True) if form and not form.sound else None
         followed = data[at + FORMAT_BYTES :][:2] in (MAGIC, b"")
         # Bytes that look like a header by chance have neither a successor nor sense.
         if form is not None and (form.sound or followed):
-            found.append(form)
+            found += [form, other] if other and other.length != form.length else [form]
     return found
 
 
@@ -179,12 +188,12 @@ def assign_types(
     doubtful = []
     for form in found:
         there = forms.get(form.type)
-        if there is None or there.name == form.name:
-            forms[form.type] = form if there is None or form.sound else there
-            continue
         # Two formats of one type: the one of the right length has it.
         usual = spacings.get(form.type, Counter()).most_common(1)
-        fits = bool(usual) and usual[0][0] == form.length != there.length
+        fits = there and bool(usual) and usual[0][0] == form.length != there.length
+        if there is None or there.name == form.name:
+            forms[form.type] = form if there is None or form.sound or fits else there
+            continue
         forms[form.type], other = (form, there) if fits else (there, form)
         doubtful.append(other)
     doubtful += [form for number, form in forms.items() if not spacings.get(number)]

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-CORRUPTED = "parts of the file are corrupted and were skipped"
 MAX_JUNK_SHARE = 1e-3  # share of a tlog's bytes outside frames, above which it counts as corrupted
 
 Stretch = tuple[int, int]

@@ -7,13 +7,13 @@ A topic's columns are its fields, elements of arrays each (`q[0]`), with `timest
 import re
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.recordings.flight_logs.autopilot_log import AutopilotLog, LoggedTexts, Topic
 from analysis.recordings.flight_logs.log_time import RowStamps, RowTimes, place_rows
 from analysis.recordings.flight_logs.ulog_messages import (
     MAGIC,
@@ -22,61 +22,17 @@ from analysis.recordings.flight_logs.ulog_messages import (
     ULogTopic,
     read_messages,
 )
-from analysis.recordings.flight_logs.ulog_texts import LoggedTexts, logged_texts, printed_texts
+from analysis.recordings.flight_logs.ulog_texts import logged_texts, printed_texts
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.written import written_bytes
 
-Topic = dict[str, NDArray[Any]]
 Rows = NDArray[np.void]
-DEGREES = {"lat": "latitude_deg", "lon": "longitude_deg"}
+NEWER_NAMES = {
+    "lat": ("latitude_deg", 1e-7), "lon": ("longitude_deg", 1e-7), "alt": ("altitude_msl_m", 1e-3),
+}  # fmt: skip
 KEY = re.compile(r"(\w+)(?:\[(\d+)\])? (.+)", re.ASCII)
 OTHER_CLOCKS = ("timestamp_sample", "time_utc_usec")
 PLACED = {"L": 1, "C": 3}  # kinds of messages with a stamp, and where it stands
-
-
-@dataclass(frozen=True, slots=True)
-class ULogFile:
-    """Contents of a ULog.
-
-    Attributes
-    ----------
-    topics : dict
-        Columns by topic name and instance.
-    messages : list of (t_us, severity, text)
-        Texts of the autopilot; severity as in MAVLink, 0 (worst) to 7.
-    parameters : dict
-        Initial parameters by name.
-    changes : list of (t_us, name, value)
-        Parameters changed in flight.
-    defaults : dict
-        Default values by name, if the log has them.
-    info : dict
-        The file's information messages (version, hardware).
-    start_us : int
-        The time at which the log begins.
-    dropouts : list of (t_us, duration_s)
-    printed : dict
-        Console output, processes and performance counters by title.
-    times : RowTimes
-        What was found out about the stamps.
-    corrupted : bool
-        Whether parts of the file could not be read.
-    cut : bool
-        Whether the file ends within a message.
-    """
-
-    topics: Mapping[tuple[str, int], Topic]
-    messages: LoggedTexts
-    parameters: dict[str, float]
-    changes: list[tuple[int, str, float]]
-    defaults: dict[str, float]
-    info: dict[str, Any]
-    start_us: int
-    dropouts: list[tuple[int, float]]
-    printed: dict[str, str]
-    times: RowTimes
-    corrupted: bool
-    cut: bool
 
 
 def is_ulog(head: bytes) -> bool:
@@ -88,7 +44,7 @@ def read_ulog(
     path: str | Path,
     progress: Callable[[float], None] = lambda _: None,
     thin: Callable[[Rows], Rows] = lambda rows: rows,
-) -> ULogFile:
+) -> AutopilotLog:
     """Read a ULog; of a corrupted file the readable part, with `corrupted` set.
 
     `progress` is called with the share that is read, from 0 to 1; `thin` chooses the rows (k,) to
@@ -121,25 +77,19 @@ def read_ulog(
         columns = {n: rows[n][keep] for n in rows.dtype.names or () if n != "at"}
         topics[key] = _with_newer_names(columns | {"timestamp": t_us[keep]})
     texts = _texts(others, times)
-    info, several = _infos(others["I"]), _several_infos(others["M"])
+    info = dict(_keyed(payload) for _, _, payload in others["I"])
+    several = _several_infos(others["M"])
     parameters, changes = _parameters(found, raw, others["P"], times)
-    return ULogFile(
-        topics,
-        logged_texts(texts, topics.get(("event", 0), {}), info, several),
-        parameters,
-        changes,
-        _defaults(others["Q"], parameters),
-        info,
-        times.begin_us,
-        [
-            (int(t_us), int.from_bytes(payload[:2], "little") * 1e-3)
-            for t_us, (_, _, payload) in zip(times.times["O"], others["O"], strict=True)
-        ],
-        printed_texts(several),
-        times,
-        found.skipped_bytes > 0 or times.misdated,
-        found.cut,
-    )
+    dropouts = [
+        (int(t_us), int.from_bytes(payload[:2], "little") * 1e-3)
+        for t_us, (_, _, payload) in zip(times.times["O"], others["O"], strict=True)
+    ]
+    end_us = max(int(topic["timestamp"][-1]) for topic in topics.values())
+    return AutopilotLog(
+        "px4", topics, times.begin_us, end_us, times, found.skipped_bytes > 0 or times.misdated,
+        found.cut, logged_texts(texts, topics.get(("event", 0), {}), info, several), parameters,
+        _defaults(others["Q"], parameters), changes, info, dropouts, printed_texts(several),
+    )  # fmt: skip
 
 
 def _joined_rows(found: ULogMessages) -> dict[tuple[str, int], Rows]:
@@ -200,10 +150,6 @@ def _keyed(payload: bytes) -> tuple[str, Any]:
     return key[3], value
 
 
-def _infos(rows: list[tuple[int, str, bytes]]) -> dict[str, Any]:
-    return dict(_keyed(payload) for _, _, payload in rows)
-
-
 def _several_infos(rows: list[tuple[int, str, bytes]]) -> dict[str, list[list[Any]]]:
     """Information in several parts: the continued parts of each message."""
     found: dict[str, list[list[Any]]] = {}
@@ -258,15 +204,10 @@ def _defaults(
 
 def _with_newer_names(columns: Mapping[str, NDArray[Any]]) -> Topic:
     """Add the new names of position fields; older PX4 logs 1e-7 degrees and millimetres."""
-    found = dict(columns)
-    for old, new in DEGREES.items():
-        if old in found and new not in found:
-            raw = found[old]
-            scale = 1e-7 if np.issubdtype(raw.dtype, np.integer) else 1.0
-            # Integers are 1e-7 degrees; some versions have degrees under the old name.
-            found[new] = raw * scale
-    if "alt" in found and "altitude_msl_m" not in found:
-        raw = found["alt"]
-        scale = 1e-3 if np.issubdtype(raw.dtype, np.integer) else 1.0
-        found["altitude_msl_m"] = raw * scale
-    return found
+    # Some versions have degrees and metres under the old name.
+    newer = {
+        new: columns[old] * (scale if columns[old].dtype.kind in "iu" else 1.0)
+        for old, (new, scale) in NEWER_NAMES.items()
+        if old in columns and new not in columns
+    }
+    return {**columns, **newer}

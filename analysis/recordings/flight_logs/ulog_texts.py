@@ -15,7 +15,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-LoggedTexts = list[tuple[int, int, str]]  # t_us, severity as in MAVLink, text
+from analysis.recordings.flight_logs.autopilot_log import LoggedTexts
 
 LEVELS = ("EMERGENCY", "ALERT", "CRITICAL", "ERROR", "WARNING", "NOTICE", "INFO", "DEBUG")
 DUPLICATE_US = 1_000_000  # a text and an event this close with equal wording are one

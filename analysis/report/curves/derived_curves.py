@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from analysis.report.curves.fused_curves import error_ned_m, fused_errors
+from analysis.report.curves.motor_outputs import balance_curves
 from analysis.report.curves.recording import Event, FlightData, GroundTrack, Signal, Vector
 from mavproxy_fault.numerics.rotations.rotation import wrap_degrees
 
 OWN_ATTITUDE = ("ATTITUDE", "ATTITUDE_QUATERNION")
 LONG_STEP_S = 3.0  # chosen: over a longer interval a jump cannot be distinguished from motion
-BALANCE_S = 1.0  # averaging time; chosen to suppress manoeuvres
 RESET_M = 5.0  # chosen: a larger step of an estimate is a filter reset
 LEAST_SAMPLES, EVEN_SHARE = 100, 0.8  # of a log for the interval curve
 
@@ -32,7 +32,7 @@ def derive_curves(recording: FlightData) -> tuple[list[Signal], list[Event]]:
         # The truth is exempt; two steps need three points.
         if track.name.startswith("truth") or len(track.t_s) < 3:
             continue
-        step = step_beyond_speed(track, _speed_of(recording, track))
+        step = step_beyond_speed(track, recording.curve("speed", track.name, "ground"))
         is_gps = "GPS" in track.name or "GNSS" in track.name
         panel = "gps-jump" if is_gps else "estimate-jump"
         signals.append(Signal(panel, track.name, track.t_s[1:], step))
@@ -43,7 +43,7 @@ def derive_curves(recording: FlightData) -> tuple[list[Signal], list[Event]]:
     signals.extend(fused_errors(recording))
     signals.extend(_attitude_errors(recording))
     signals.extend(_divergence(recording))
-    signals.extend(_balance(recording))
+    signals.extend(balance_curves(recording))
     signals.extend(_intervals(recording))
     signals.extend(_tilt(recording))
     return signals, events
@@ -67,11 +67,6 @@ def step_beyond_speed(track: GroundTrack, speed_mps: Signal | None) -> Vector:
     return beyond
 
 
-def _speed_of(recording: FlightData, track: GroundTrack) -> Signal | None:
-    speeds = {signal.name: signal for signal in recording.of("speed")}
-    return speeds.get(track.name) or speeds.get("ground")
-
-
 def _resets(track: GroundTrack, step: Vector) -> list[Event]:
     far = np.flatnonzero(np.nan_to_num(step) > RESET_M)
     return [
@@ -86,12 +81,9 @@ def _resets(track: GroundTrack, step: Vector) -> list[Event]:
 
 
 def _position_errors(recording: FlightData) -> list[Signal]:
-    truth = next((track for track in recording.tracks if track.name == "truth"), None)
-    if truth is None:
-        return []
-    found = []
+    found, truth = [], recording.track("truth")
     for track in recording.tracks:
-        if track is truth or track.on_earth != truth.on_earth:
+        if truth is None or track is truth or track.on_earth != truth.on_earth:
             continue
         t_s, error = error_ned_m(track, truth)
         if len(t_s) > 1:
@@ -104,15 +96,13 @@ def _attitude_errors(recording: FlightData) -> list[Signal]:
     """Attitude errors: the autopilot's estimate minus the truth, and minus the setpoint."""
     found = []
     for part in ("roll", "pitch", "yaw"):
-        curves = {signal.name: signal for signal in recording.of(part)}
-        own = next((curves[name] for name in OWN_ATTITUDE if name in curves), None)
-        if own is None:
-            continue
-        if "truth" in curves:
-            found.append(_difference(f"error-{part}", "autopilot", own, curves["truth"]))
+        own = recording.curve(part, *OWN_ATTITUDE)
+        true, desired = recording.curve(part, "truth"), recording.curve(part, "desired")
+        if own and true:
+            found.append(_difference(f"error-{part}", "autopilot", own, true))
         # Yaw may lag its setpoint without harm, and wraps.
-        if "desired" in curves and part != "yaw":
-            found.append(_difference("control-error", part, own, curves["desired"]))
+        if own and desired and part != "yaw":
+            found.append(_difference("control-error", part, own, desired))
     # A curve needs two samples.
     found = [signal for signal in found if len(signal.t_s) > 1]
     control = [signal for signal in found if signal.panel == "control-error"]
@@ -153,27 +143,6 @@ def _down(roll: Signal, pitch: Signal, t_s: Vector) -> Vector:
     r = np.radians(np.interp(t_s, roll.t_s, np.unwrap(roll.value, period=360)))
     p = np.radians(np.interp(t_s, pitch.t_s, pitch.value))
     return np.column_stack((-np.sin(p), np.sin(r) * np.cos(p), np.cos(r) * np.cos(p)))
-
-
-def _balance(recording: FlightData) -> list[Signal]:
-    """Smoothed deviation of each motor's output from the mean: weak motors get higher commands."""
-    motors = [signal for signal in recording.of("actuators") if signal.name.startswith("motor")]
-    # With fewer motors the mean says too little about one of them.
-    if len(motors) < 3 or any(len(s.t_s) != len(motors[0].t_s) for s in motors):
-        return []
-    outputs = np.stack([signal.value for signal in motors])
-    t_s = motors[0].t_s
-    # Number of samples in the averaging time.
-    samples = max(1, round(BALANCE_S * len(t_s) / max(float(np.ptp(t_s)), 1e-6)))
-    if len(t_s) < 2 * samples:
-        return []
-    window = np.full(samples, 1 / samples)
-    # Relative to the mean at the same time, so that climbs cancel.
-    off = np.nan_to_num(outputs - outputs.mean(axis=0))
-    smooth = [np.convolve(row, window, "same") for row in off]
-    return [
-        Signal("balance", motor.name, t_s, row) for motor, row in zip(motors, smooth, strict=True)
-    ]
 
 
 def _tilt(recording: FlightData) -> list[Signal]:

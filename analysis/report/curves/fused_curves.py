@@ -11,8 +11,7 @@ BAND = 3.0  # sigmas: 99.7 % of normally distributed errors
 
 def fused_errors(recording: FlightData) -> list[Signal]:
     """Errors of every fused track along each axis, and the 3-sigma bound of the fused solution."""
-    sigmas = {signal.name: signal for signal in recording.of("fused-sigma")}
-    truth = next((track for track in recording.tracks if track.name == "truth"), None)
+    truth = recording.track("truth")
     tracks = [track for track in recording.tracks if track.name.startswith(FUSED)]
     if truth is None or not tracks:
         return []
@@ -22,10 +21,9 @@ def fused_errors(recording: FlightData) -> list[Signal]:
         panel = f"fused-{axis}"
         found += [Signal(panel, name, t_s, error[:, i]) for name, t_s, error in errors]
         # Bounds on both sides show whether the errors agree with the sigmas.
-        if axis in sigmas:
-            t_s, value = sigmas[axis].t_s, BAND * sigmas[axis].value
-            found.append(Signal(panel, "+3 sigma", t_s, value))
-            found.append(Signal(panel, "-3 sigma", t_s, -value))
+        if sigma := recording.curve("fused-sigma", axis):
+            found.append(Signal(panel, "+3 sigma", sigma.t_s, BAND * sigma.value))
+            found.append(Signal(panel, "-3 sigma", sigma.t_s, -BAND * sigma.value))
     return found
 
 

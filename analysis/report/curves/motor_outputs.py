@@ -2,11 +2,13 @@
 
 import numpy as np
 
-from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.recording import FlightData, Signal, running_mean
 
 FIRST_MOTOR, MOTORS = 33, 8  # SERVOn_FUNCTION of ArduPilot's motors 1 to 8
 PWM_US = (1000.0, 2000.0)  # ArduPilot's defaults of MOT_PWM_MIN and MOT_PWM_MAX
 FEWEST_MOTORS = 3  # with fewer the mean says too little about one motor
+FLYING_OUTPUT = 0.15  # chosen: mean output above which a multirotor is taken to fly
+BALANCE_S = 2.0  # averaging time; chosen to suppress manoeuvres
 
 
 def motor_outputs(recording: FlightData) -> list[Signal]:
@@ -37,3 +39,18 @@ def outputs_by_function(recording: FlightData) -> list[Signal]:
             name = f"motor {int(function) - FIRST_MOTOR + 1}"
             found.append(Signal("actuators", name, signal.t_s, share))
     return found
+
+
+def balance_curves(recording: FlightData) -> list[Signal]:
+    """Smoothed deviation of each motor's output from the mean of all in flight: a weak motor gets
+    higher commands."""
+    motors = motor_outputs(recording)
+    if not motors:
+        return []
+    # Relative to the mean at the same time, so that climbs cancel.
+    mean = np.nanmean([signal.value for signal in motors], axis=0)
+    # On the ground uneven idling is harmless.
+    flies = mean > FLYING_OUTPUT
+    off = (Signal("balance", s.name, s.t_s[flies], (s.value - mean)[flies]) for s in motors)
+    curves = [running_mean(signal, BALANCE_S) for signal in off]
+    return [curve for curve in curves if len(curve.t_s)]

@@ -5,7 +5,7 @@ Times `t_s` are in seconds on one axis per report, zero at the start of the sche
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,7 @@ Windows = Sequence[tuple[float, float]]  # seconds
 UNGRADED = 8  # severity of messages in logs without severities
 
 
-@dataclass(frozen=True, slots=True)
-class Signal:
+class Signal(NamedTuple):
     """One curve: `panel` is the plot it belongs to (see `panels`), `name` its legend.
 
     `t_s` and `value` have shape (n,); `t_s` does not decrease; NaN means "no value".
@@ -31,8 +30,7 @@ class Signal:
     value: Vector
 
 
-@dataclass(frozen=True, slots=True)
-class Span:
+class Span(NamedTuple):
     """A time span on a lane of the timeline; `kind` determines its colour (see page.css).
 
     Kinds: mode, flag, injected, detected, warn, fail.
@@ -45,8 +43,7 @@ class Span:
     kind: str
 
 
-@dataclass(frozen=True, slots=True)
-class Event:
+class Event(NamedTuple):
     """A message or event; `severity` is MAVLink's, 0 (worst) to 7, or UNGRADED."""
 
     t_s: float
@@ -55,8 +52,7 @@ class Event:
     severity: int = 6
 
 
-@dataclass(frozen=True, slots=True)
-class GroundTrack:
+class GroundTrack(NamedTuple):
     """A path in degrees and metres above mean sea level; shape (n,) each.
 
     Without `on_earth` its geographic position is unknown: it is drawn around 0, 0.
@@ -71,8 +67,8 @@ class GroundTrack:
 
     def select(self, rows: NDArray[np.bool_] | slice) -> "GroundTrack":
         """The track restricted to some rows."""
-        names = ("t_s", "lat_deg", "lon_deg", "alt_m")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+        t_s, lat, lon, alt = (column[rows] for column in self[1:5])
+        return GroundTrack(self.name, t_s, lat, lon, alt, self.on_earth)
 
     def metres_from(
         self, lat_deg: Vector | float, lon_deg: Vector | float
@@ -93,16 +89,14 @@ def local_track(
     return GroundTrack(name, t_s, lat, lon, -down_m, on_earth=False)
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(NamedTuple):
     """All fields of one message as logged: `t_s` and columns, shape (n,) or (n, k)."""
 
     t_s: Vector
     columns: Mapping[str, NDArray[Any]]
 
 
-@dataclass(frozen=True, slots=True)
-class LinkQuality:
+class LinkQuality(NamedTuple):
     """Frames of one sender in one log, and the frames lost according to its sequence numbers."""
 
     log: str
@@ -174,6 +168,16 @@ class FlightData:
         """The signals of one panel."""
         return [signal for signal in self.signals if signal.panel == panel]
 
+    def curve(self, panel: str, *names: str) -> Signal | None:
+        """The signal of a panel with the first of some names that it has."""
+        curves = {signal.name: signal for signal in self.of(panel)}
+        return next((curves[name] for name in names if name in curves), None)
+
+    def track(self, *names: str) -> GroundTrack | None:
+        """The track with the first of some names that there is."""
+        tracks = {track.name: track for track in self.tracks}
+        return next((tracks[name] for name in names if name in tracks), None)
+
 
 def join_recordings(first: FlightData, second: FlightData) -> FlightData:
     """Merge two recordings on one axis; texts such as the name are those of the first."""
@@ -197,6 +201,17 @@ def join_recordings(first: FlightData, second: FlightData) -> FlightData:
             "utc0_us": first.utc0_us or second.utc0_us,
         },
     )
+
+
+def running_mean(signal: Signal, span_s: float) -> Signal:
+    """A signal averaged over `span_s`; empty if it is too short."""
+    count = len(signal.t_s)
+    length_s = float(np.ptp(signal.t_s)) if count > 1 else 0.0
+    samples = max(1, round(span_s * count / length_s)) if length_s > 0 else 1
+    if count < 2 * samples:
+        return signal._replace(t_s=signal.t_s[:0], value=signal.value[:0])
+    smooth = np.convolve(np.nan_to_num(signal.value), np.full(samples, 1 / samples), "same")
+    return signal._replace(value=smooth)
 
 
 def inside_windows(t_s: Vector, windows: Windows | None) -> NDArray[np.bool_]:
@@ -264,15 +279,11 @@ def flag_events(spans: Sequence[Span], end_s: float) -> list[Event]:
 
 
 def value_spans(
-    lane: str, t_s: NDArray[np.float64], values: Sequence[str], kind: str = "mode"
+    lane: str, t_s: Vector, values: Sequence[str] | NDArray[np.str_], kind: str = "mode"
 ) -> list[Span]:
     """One span per run of equal, non-empty values at the times `t_s` (n,)."""
-    spans: list[Span] = []
-    begin = 0
-    for i in range(1, len(values) + 1):
-        if i == len(values) or values[i] != values[begin]:
-            end = float(t_s[min(i, len(values) - 1)])
-            if values[begin]:
-                spans.append(Span(lane, float(t_s[begin]), end, values[begin], kind))
-            begin = i
-    return spans
+    words = np.asarray(values)
+    begins = np.flatnonzero(np.append(True, words[1:] != words[:-1])[: len(words)])
+    ends = np.append(begins[1:], len(words) - 1)
+    rows = zip(t_s[begins].tolist(), t_s[ends].tolist(), words[begins].tolist(), strict=True)
+    return [Span(lane, begin, end, word, kind) for begin, end, word in rows if word]

@@ -1,8 +1,7 @@
 """The kind of vehicle that a log is of, and the phases of its flight: armed, and in the air.
 
 The class of a vehicle decides which checks make sense, and what the numbers of ArduPilot's flight
-modes mean: each firmware counts its own (`mode` enumerations in mode.h; MAVLink's
-COPTER_MODE, PLANE_MODE, ROVER_MODE, SUB_MODE, TRACKER_MODE). PX4: `px4_custom_mode.h`.
+modes mean: each firmware counts its own. PX4: `px4_custom_mode.h`.
 """
 
 import itertools
@@ -11,6 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from analysis.field_maps.autopilot_names import NAMES
 from analysis.report.curves.recording import FlightData, Signal, merged_windows
 from mavproxy_fault.schedule.triggers import PX4_AUTO, PX4_MAIN
 
@@ -19,12 +19,6 @@ Windows = list[tuple[float, float]]
 COPTER, PLANE, VTOL, ROVER, SUB, HELI, BLIMP, TRACKER = (
     "copter", "plane", "VTOL", "rover", "sub", "helicopter", "blimp", "tracker",
 )  # fmt: skip
-# Classes by MAV_TYPE.
-CLASSES: Mapping[int, str] = {
-    1: PLANE, 2: COPTER, 3: COPTER, 4: HELI, 5: TRACKER, 7: BLIMP, 10: ROVER, 11: ROVER, 12: SUB,
-    13: COPTER, 14: COPTER, 15: COPTER, **dict.fromkeys(range(19, 26), VTOL), 29: COPTER,
-    35: COPTER,
-}  # fmt: skip
 # Classes by the firmware's name in its messages, and by ArduPilot's APM_BUILD_TYPE (VER.BU).
 FIRMWARES = (
     (re.compile(r"copter-heli|traditionalheli|heli\b", re.IGNORECASE), HELI),
@@ -35,42 +29,14 @@ FIRMWARES = (
     (re.compile(r"blimp", re.IGNORECASE), BLIMP),
     (re.compile(r"plane", re.IGNORECASE), PLANE),
 )
-BUILDS = {1: ROVER, 2: COPTER, 3: PLANE, 4: TRACKER, 7: SUB, 12: BLIMP, 13: HELI}
-PX4_TYPES = {1: COPTER, 2: PLANE, 3: ROVER, 4: BLIMP}  # vehicle_status.vehicle_type
+CLASSES, BUILDS, PX4_TYPES = NAMES["class"], NAMES["ArduPilot build"], NAMES["PX4 type"]
 ARDUPILOT, PX4 = 3, 12
 
-COPTER_MODES = {
-    0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL",
-    7: "CIRCLE", 8: "POSITION", 9: "LAND", 10: "OF_LOITER", 11: "DRIFT", 13: "SPORT", 14: "FLIP",
-    15: "AUTOTUNE", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 19: "AVOID_ADSB", 20: "GUIDED_NOGPS",
-    21: "SMART_RTL", 22: "FLOWHOLD", 23: "FOLLOW", 24: "ZIGZAG", 25: "SYSTEMID", 26: "AUTOROTATE",
-    27: "AUTO_RTL", 28: "TURTLE", 29: "RATE_ACRO",
-}  # fmt: skip
-PLANE_MODES = {
-    0: "MANUAL", 1: "CIRCLE", 2: "STABILIZE", 3: "TRAINING", 4: "ACRO", 5: "FBWA", 6: "FBWB",
-    7: "CRUISE", 8: "AUTOTUNE", 10: "AUTO", 11: "RTL", 12: "LOITER", 13: "TAKEOFF",
-    14: "AVOID_ADSB", 15: "GUIDED", 16: "INITIALISING", 17: "QSTABILIZE", 18: "QHOVER",
-    19: "QLOITER", 20: "QLAND", 21: "QRTL", 22: "QAUTOTUNE", 23: "QACRO", 24: "THERMAL",
-    25: "LOITERALTQLAND", 26: "AUTOLAND",
-}  # fmt: skip
-ROVER_MODES = {
-    0: "MANUAL", 1: "ACRO", 2: "LEARNING", 3: "STEERING", 4: "HOLD", 5: "LOITER", 6: "FOLLOW",
-    7: "SIMPLE", 8: "DOCK", 9: "CIRCLE", 10: "AUTO", 11: "RTL", 12: "SMART_RTL", 15: "GUIDED",
-    16: "INITIALISING",
-}  # fmt: skip
-SUB_MODES = {
-    0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 7: "CIRCLE", 9: "SURFACE",
-    16: "POSHOLD", 19: "MANUAL", 20: "MOTOR_DETECT", 21: "SURFTRAK",
-}  # fmt: skip
-TRACKER_MODES = {0: "MANUAL", 1: "STOP", 2: "SCAN", 4: "GUIDED", 10: "AUTO", 16: "INITIALISING"}
-BLIMP_MODES = {
-    0: "LAND", 1: "MANUAL", 2: "VELOCITY", 3: "LOITER", 4: "RTL", 5: "AUTO", 6: "HOLD",
-}  # fmt: skip
 MODES: Mapping[str, Mapping[int, str]] = {
-    COPTER: COPTER_MODES, HELI: COPTER_MODES, PLANE: PLANE_MODES, VTOL: PLANE_MODES,
-    ROVER: ROVER_MODES, SUB: SUB_MODES, TRACKER: TRACKER_MODES, BLIMP: BLIMP_MODES,
+    **{kind: NAMES[kind] for kind in (COPTER, PLANE, ROVER, SUB, TRACKER, BLIMP)},
+    HELI: NAMES[COPTER], VTOL: NAMES[PLANE],
 }  # fmt: skip
-ROTORS, FLYERS = {COPTER, HELI}, {COPTER, HELI, PLANE, VTOL, BLIMP}
+FLYERS = {COPTER, HELI, PLANE, VTOL, BLIMP}
 ARMED, FLYING = "armed", "flying"
 
 STILL_M, STILL_S = 0.3, 3.0  # chosen: less moves only a vehicle that lies still
@@ -89,7 +55,7 @@ def mode_name(autopilot: int, vehicle: str, custom_mode: int) -> str:
     # Other autopilots define their own numbers.
     if autopilot != ARDUPILOT:
         return f"mode {custom_mode}"
-    return MODES.get(vehicle, COPTER_MODES).get(custom_mode, f"mode {custom_mode}")
+    return MODES.get(vehicle, MODES[COPTER]).get(custom_mode, f"mode {custom_mode}")
 
 
 def class_by_texts(texts: Sequence[str], parameters: Mapping[str, float]) -> str:
@@ -113,7 +79,7 @@ def flying_windows(recording: FlightData) -> Windows | None:
         return armed
     air = _windows(recording, FLYING)
     if air is None:
-        height = _height(recording)
+        height = recording.curve("height", "estimate", "controller")
         if height is None:
             return armed
         air = [window for start, end in armed for window in _above(height, start, end)]
@@ -138,7 +104,7 @@ def _until_rest(recording: FlightData, start_s: float, end_s: float) -> float:
     """The end of a window in the air, or before it the time from which the vehicle lies still at
     its lowest height: one that has tipped over is not found to have landed. The start of one in
     which it never left the ground."""
-    height = _height(recording)
+    height = recording.curve("height", "estimate", "controller")
     if height is None:
         return end_s
     inside = (height.t_s >= start_s) & (height.t_s <= end_s) & np.isfinite(height.value)
@@ -158,11 +124,6 @@ def _windows(recording: FlightData, state: str) -> Windows | None:
         # Unknown, which differs from "never" (an empty list).
         return None
     return merged_windows([(s.start_s, s.end_s) for s in spans if s.text == state])
-
-
-def _height(recording: FlightData) -> Signal | None:
-    named = {signal.name: signal for signal in recording.of("height")}
-    return named.get("estimate") or named.get("controller")
 
 
 def _above(height: Signal, start_s: float, end_s: float) -> Windows:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from analysis.report.curves.recording import FlightData, Span, Windows
+from analysis.report.curves.recording import FlightData, Span, Windows, inside_windows
 from analysis.report.judging.autopilot_texts import texts_check
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, is_within
@@ -27,7 +27,7 @@ def _flags(recording: FlightData, armed: Windows | None) -> FlightCheck:
     name = "flags of the autopilot"
     # An empty list means never armed; None means unknown.
     if armed == []:
-        return FlightCheck(name=name, verdict=NONE, evidence="never armed")
+        return FlightCheck(name, NONE, "never armed")
     spans = [s for s in recording.spans if s.kind == "flag"]
     if not recording.of("gps-fix"):
         # Without a receiver ArduPilot's estimator raises this flag from the beginning.
@@ -41,25 +41,22 @@ def _flags(recording: FlightData, armed: Windows | None) -> FlightCheck:
     if not spans:
         known = recording.of("ratio") or recording.of("variance")
         evidence = "none raised while armed" if known else "no estimator status in the log"
-        return FlightCheck(name=name, verdict=PASS if known else NONE, evidence=evidence)
+        return FlightCheck(name, PASS if known else NONE, evidence)
     shown = ", ".join(f"{s.lane} at {s.start_s:.1f} to {s.end_s:.1f} s" for s in spans[:4])
     if len(spans) > 4:
         shown += f" and {len(spans) - 4} more"
     windows = tuple((s.start_s, s.end_s) for s in spans)
-    return FlightCheck(name=name, verdict=WARN, evidence=shown, limit="warn: any", windows=windows)
+    return FlightCheck(name, WARN, shown, "warn: any", windows)
 
 
 def _starts(recording: FlightData, span: Span) -> bool:
     """Whether a flag is due to estimator start-up: raised at the start of the log while the
     receiver reports standstill."""
-    speeds = [
-        signal.value[(signal.t_s >= span.start_s) & (signal.t_s <= span.end_s)]
-        for signal in recording.of("speed")
-        if signal.name == "GPS"
-    ]
-    if span.start_s > LOG_START_S or not speeds or not len(speeds[0]):
+    speed = recording.curve("speed", "GPS")
+    if span.start_s > LOG_START_S or speed is None:
         return False
-    return bool(np.nanmax(speeds[0]) < STANDSTILL_MPS)
+    inside = speed.value[inside_windows(speed.t_s, [(span.start_s, span.end_s)])]
+    return bool(len(inside) and np.nanmax(inside) < STANDSTILL_MPS)
 
 
 def _switches(recording: FlightData, th: Thresholds, armed: Windows | None) -> FlightCheck:
@@ -70,40 +67,33 @@ def _switches(recording: FlightData, th: Thresholds, armed: Windows | None) -> F
     spans = [s for s in recording.spans if s.lane == "estimator in use"]
     if not spans or armed == []:
         reason = "never armed" if spans else "no switch in the log"
-        return FlightCheck(name=name, verdict=NONE, evidence=reason, limit=limit)
+        return FlightCheck(name, NONE, reason, limit)
     # The first span is the initial estimator.
     starts_s = np.sort([s.start_s for s in spans])[1:]
     starts_s = starts_s[[is_within(float(t_s), armed) for t_s in starts_s]]
     counts = np.arange(1, len(starts_s) + 1) - np.searchsorted(starts_s, starts_s - SWITCH_WINDOW_S)
     most = int(counts.max(initial=0))
     if most < warn:
-        evidence = f"at most {most} within {SWITCH_WINDOW_S:g} s"
-        return FlightCheck(name=name, verdict=PASS, evidence=evidence, limit=limit)
+        return FlightCheck(name, PASS, f"at most {most} within {SWITCH_WINDOW_S:g} s", limit)
     end_s = float(starts_s[counts.argmax()])
-    return FlightCheck(
-        name=name,
-        verdict=FAIL if most >= fail else WARN,
-        evidence=f"{len(starts_s)} in all, {most} within {SWITCH_WINDOW_S:g} s up to {end_s:.1f} s",
-        limit=limit,
-        windows=((end_s - SWITCH_WINDOW_S, end_s),),
-    )
+    text = f"{len(starts_s)} in all, {most} within {SWITCH_WINDOW_S:g} s up to {end_s:.1f} s"
+    window = end_s - SWITCH_WINDOW_S, end_s
+    return FlightCheck(name, FAIL if most >= fail else WARN, text, limit, (window,))
 
 
 def _status(recording: FlightData, armed: Windows | None) -> FlightCheck:
     name = "system status of the autopilot"
     # The system status comes in heartbeats.
     if not any(span.lane.startswith("mode") for span in recording.spans):
-        return FlightCheck(name=name, verdict=NONE, evidence="no heartbeats in the log")
+        return FlightCheck(name, NONE, "no heartbeats in the log")
     if armed == []:
-        return FlightCheck(name=name, verdict=NONE, evidence="never armed")
+        return FlightCheck(name, NONE, "never armed")
     spans = [s for s in recording.spans if s.lane.startswith("system status")]
     spans = [s for s in spans if is_within(s.start_s, armed) or is_within(s.end_s, armed)]
     limit = "warn: CRITICAL while armed; fail: EMERGENCY"
     if not spans:
-        return FlightCheck(
-            name=name, verdict=PASS, evidence="never critical while armed", limit=limit
-        )
+        return FlightCheck(name, PASS, "never critical while armed", limit)
     worst = FAIL if any(s.text == "EMERGENCY" for s in spans) else WARN
     evidence = ", ".join(f"{s.text} at {s.start_s:.1f} to {s.end_s:.1f} s" for s in spans[:5])
     windows = tuple((s.start_s, s.end_s) for s in spans)
-    return FlightCheck(name=name, verdict=worst, evidence=evidence, limit=limit, windows=windows)
+    return FlightCheck(name, worst, evidence, limit, windows)

@@ -3,8 +3,16 @@
 import numpy as np
 
 from analysis.report.curves.recording import FlightData, Windows
+from analysis.report.curves.vehicle_phase import FLYERS
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck
+from analysis.report.judging.checks import (
+    FAIL,
+    NONE,
+    PASS,
+    WARN,
+    FlightCheck,
+    restrict_to_classes,
+)
 from analysis.report.judging.vehicle_record import vehicle_record
 from analysis.scoring.vehicle_outcome import (
     BLOW,
@@ -27,11 +35,8 @@ def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> 
     """Check the ground impact, the attitude at rest, and whether the log ends in flight."""
     record = vehicle_record(recording)
     found = judge_vehicle(record)
-    return [
-        _impact(record, found, th),
-        _upright(record, found),
-        _ends_airborne(recording, record),
-    ]
+    checks = _impact(record, found, th), _upright(record, found), _ends_airborne(recording, record)
+    return [restrict_to_classes(check, recording.vehicle, FLYERS) for check in checks]
 
 
 def _impact(record: VehicleRecord, found: VehicleOutcome, th: Thresholds) -> FlightCheck:
@@ -39,29 +44,21 @@ def _impact(record: VehicleRecord, found: VehicleOutcome, th: Thresholds) -> Fli
     limit = f"warn above {warn:g} m/s, fail above {fail:g} m/s"
     if record.motion is None or not record.motion.has_height or record.armed == []:
         reason = "never armed" if record.armed == [] else "no height in the log"
-        return FlightCheck(name=name, verdict=NONE, evidence=reason, limit=limit)
-    speed_mps, at_s = found.impact_mps, found.impact_s
+        return FlightCheck(name, NONE, reason, limit)
+    speed_mps, at_s = found.impact_mps or 0.0, found.impact_s or 0.0
     blow = next((event for event in found.events if event.text.startswith(BLOW)), None)
-    if blow is not None and not (speed_mps or 0.0) > fail:
+    if blow is not None and speed_mps <= fail:
+        limit += ", or for a blow that ends the flight"
+        window = blow.t_s, blow.t_s + STOP_S
         return FlightCheck(
-            name=name,
-            verdict=FAIL,
-            evidence=f"{blow.text}, at {blow.t_s:.1f} s",
-            limit=f"{limit}, or for a blow that ends the flight",
-            windows=((blow.t_s, blow.t_s + STOP_S),),
-            panel="accel",
+            name, FAIL, f"{blow.text}, at {blow.t_s:.1f} s", limit, (window,), "accel"
         )
-    if speed_mps is None or at_s is None or speed_mps <= warn:
-        slow = "none" if speed_mps is None else f"touched down at {speed_mps:.1f} m/s"
-        return FlightCheck(name=name, verdict=PASS, evidence=slow, limit=limit, panel="climb")
-    return FlightCheck(
-        name=name,
-        verdict=FAIL if speed_mps >= fail else WARN,
-        evidence=f"hit the ground at a sink rate of {speed_mps:.1f} m/s, at {at_s:.1f} s",
-        limit=limit,
-        windows=((at_s, at_s + STOP_S),),
-        panel="climb",
-    )
+    if speed_mps <= warn:
+        slow = "none" if found.impact_s is None else f"touched down at {speed_mps:.1f} m/s"
+        return FlightCheck(name, PASS, slow, limit, panel="climb")
+    text = f"hit the ground at a sink rate of {speed_mps:.1f} m/s, at {at_s:.1f} s"
+    verdict = FAIL if speed_mps >= fail else WARN
+    return FlightCheck(name, verdict, text, limit, ((at_s, at_s + STOP_S),), "climb")
 
 
 def _upright(record: VehicleRecord, found: VehicleOutcome) -> FlightCheck:
@@ -70,16 +67,11 @@ def _upright(record: VehicleRecord, found: VehicleOutcome) -> FlightCheck:
     if found.end_tilt_deg is None or not record.armed:
         unknown = record.motion is None or found.end_tilt_deg is None
         reason = "no attitude in the log" if unknown else "the log does not say when armed"
-        return FlightCheck(name=name, verdict=NONE, evidence=reason, limit=limit)
+        return FlightCheck(name, NONE, reason, limit)
     upset = [event for event in found.events if event.text.startswith(ENDED_TILTED)]
-    return FlightCheck(
-        name=name,
-        verdict=FAIL if upset else PASS,
-        evidence=", ".join(event.text for event in upset) or "yes",
-        limit=limit,
-        windows=tuple((event.t_s - REST_S, event.t_s + REST_S) for event in upset),
-        panel="tilt",
-    )
+    windows = tuple((event.t_s - REST_S, event.t_s + REST_S) for event in upset)
+    evidence = ", ".join(event.text for event in upset) or "yes"
+    return FlightCheck(name, FAIL if upset else PASS, evidence, limit, windows, "tilt")
 
 
 def _ends_airborne(recording: FlightData, record: VehicleRecord) -> FlightCheck:
@@ -87,23 +79,20 @@ def _ends_airborne(recording: FlightData, record: VehicleRecord) -> FlightCheck:
     motion, armed = record.motion, record.armed
     if motion is None or not motion.has_height or not armed:
         reason = "no height in the log" if armed else "the log does not say when armed"
-        return FlightCheck(name=name, verdict=NONE, evidence=reason, limit=limit)
-    t_s, height_m, sink_mps = motion.t_s, motion.height_m, motion.sink_mps
-    last = t_s > t_s[-1] - 1.0
-    height, sink = float(np.median(height_m[last])), float(np.median(sink_mps[last]))
+        return FlightCheck(name, NONE, reason, limit)
+    t_s, height_m, end_s = motion.t_s, motion.height_m, float(motion.t_s[-1])
+    last = t_s > end_s - 1.0
+    height, sink = float(np.median(height_m[last])), float(np.median(motion.sink_mps[last]))
     up = height > np.percentile(height_m, 2) + AIRBORNE_M or abs(sink) > REST_MPS
     # Disarmed before the end, or low and at rest.
     if armed[-1][1] < recording.duration_s - 1.0 or not up:
-        return FlightCheck(name=name, verdict=PASS, evidence="yes", limit=limit)
-    tilt = median_tilt(motion, float(t_s[-1]) - 1.0, float(t_s[-1])) or 0.0
+        return FlightCheck(name, PASS, "yes", limit)
+    tilt = median_tilt(motion, end_s - 1.0, end_s) or 0.0
     # A simulated flight may end in the air: its duration was over.
     mild = PASS if motion.from_truth else WARN
-    return FlightCheck(
-        name=name,
-        verdict=FAIL if sink > FALLING_MPS or tilt > UPSET_DEG else mild,
-        evidence=f"armed at the end, {height - height_m.min():.0f} m above the lowest height, "
-        f"sinking at {sink:.1f} m/s, tilted by {tilt:.0f}°",
-        limit=limit,
-        windows=((float(t_s[-1]) - 1.0, float(t_s[-1])),),
-        panel="height",
+    verdict = FAIL if sink > FALLING_MPS or tilt > UPSET_DEG else mild
+    text = (
+        f"armed at the end, {height - height_m.min():.0f} m above the lowest height, "
+        f"sinking at {sink:.1f} m/s, tilted by {tilt:.0f}°"
     )
+    return FlightCheck(name, verdict, text, limit, ((end_s - 1.0, end_s),), "height")

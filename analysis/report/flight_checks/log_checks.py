@@ -22,17 +22,13 @@ def _log_integrity(recording: FlightData, th: Thresholds) -> FlightCheck:
     # Notes by the reader of the log.
     damage = [note for note in recording.notes if DAMAGE.search(note)]
     if damage:
-        return FlightCheck(name="log is complete", verdict=WARN, evidence="; ".join(damage))
+        return FlightCheck("log is complete", WARN, "; ".join(damage))
     if recording.size == 0:
-        return FlightCheck(
-            name="log is complete", verdict=PASS, evidence="no part is corrupted or missing"
-        )
+        return FlightCheck("log is complete", PASS, "no part is corrupted or missing")
     percent = 100 * recording.junk_bytes / recording.size
     verdict = FAIL if percent > limits.fail else WARN if percent > limits.warn else PASS
     evidence = f"{recording.junk_bytes} of {recording.size} bytes ({percent:.2g} %) are not frames"
-    return FlightCheck(
-        name="log is complete", verdict=verdict, evidence=evidence, limit=limits.text()
-    )
+    return FlightCheck("log is complete", verdict, evidence, limits.text())
 
 
 def _links(recording: FlightData, th: Thresholds) -> list[FlightCheck]:
@@ -54,16 +50,14 @@ def _links(recording: FlightData, th: Thresholds) -> list[FlightCheck]:
         # Merged links interleave their sequence numbers, so nearly all frames seem lost.
         mixed = share > MAX_LOST_SHARE
         name = f"link from {link.system}/{link.component}"
-        checks.append(
-            FlightCheck(
-                name=f"{name} in {link.log}" if link.log else name,
-                verdict=NONE if mixed else FAIL if bad else WARN if doubtful else PASS,
-                evidence="several links are merged in one log; losses cannot be counted"
-                if mixed
-                else f"{link.lost} of {link.frames + link.lost} frames lost ({percent:.2g} %), "
-                f"longest silence {link.longest_gap_s:.1f} s",
-                limit=f"{lost.text()}; silence: {silent.text()}",
-                panel="link-lost",
-            )
+        name = f"{name} in {link.log}" if link.log else name
+        verdict = NONE if mixed else FAIL if bad else WARN if doubtful else PASS
+        evidence = (
+            "several links are merged in one log; losses cannot be counted"
+            if mixed
+            else f"{link.lost} of {link.frames + link.lost} frames lost ({percent:.2g} %), "
+            f"longest silence {link.longest_gap_s:.1f} s"
         )
+        limit = f"{lost.text()}; silence: {silent.text()}"
+        checks.append(FlightCheck(name, verdict, evidence, limit, panel="link-lost"))
     return checks

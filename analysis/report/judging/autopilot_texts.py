@@ -95,18 +95,16 @@ def texts_check(recording: FlightData, armed: Windows | None) -> FlightCheck:
     spoken = [event for event in recording.events if event.kind in ("text", "error")]
     if not spoken:
         # A log without messages does not show that the autopilot sent none.
-        return FlightCheck(name=NAME, verdict=NONE, evidence="no messages in the log")
+        return FlightCheck(NAME, NONE, "no messages in the log")
     found = find_alarms(spoken, armed)
     if not found:
-        return FlightCheck(
-            name=NAME, verdict=PASS, evidence=f"{len(spoken)} messages, none alarming"
-        )
+        return FlightCheck(NAME, PASS, f"{len(spoken)} messages, none alarming")
     shown = ", ".join(_shown(finding) for finding in found[:TEXTS_SHOWN])
     if len(found) > TEXTS_SHOWN:
         shown += f" and {len(found) - TEXTS_SHOWN} less severe"
     worst = FAIL if any(finding.verdict == FAIL for finding in found) else WARN
     windows = tuple(sorted(window for finding in found for window in finding.windows))
-    return FlightCheck(name=NAME, verdict=worst, evidence=shown, limit=LIMIT, windows=windows)
+    return FlightCheck(NAME, worst, shown, LIMIT, windows)
 
 
 def find_alarms(spoken: Sequence[Event], armed: Windows | None) -> list[TextFinding]:

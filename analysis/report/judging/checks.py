@@ -5,7 +5,7 @@ check with missing or insufficient data is "not judged".
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -28,13 +28,12 @@ MIN_SAMPLES = 5  # chosen: a curve of fewer samples is not judged
 CAUSE_S, CHAIN_SHOWN = 10.0, 5  # chosen: a cause acts within this time; events in the sentence
 LONG_GAP_S = 5.0  # chosen: across a longer gap a value is not assumed to persist
 PASS_WITHOUT_FLIGHT = {  # checks that pass on a log without a flight too
-    
     "log is complete", "messages of the autopilot", "system status of the autopilot",
     "GPS jamming indicator", "before arming", "log ends on the ground", "scheduler",
 }  # fmt: skip
 
 
-class FlightCheck(msgspec.Struct, frozen=True, kw_only=True):
+class FlightCheck(msgspec.Struct, frozen=True):
     """Result of one check: verdict, evidence, limit and time windows.
 
     `windows` are in seconds on the report's time axis; `panel` is the plot that shows the value,
@@ -80,6 +79,12 @@ def verdict_of(checks: Sequence[FlightCheck]) -> str:
     return "NO VERDICT" if worst == NONE else worst
 
 
+def worst_first(checks: Sequence[FlightCheck]) -> list[FlightCheck]:
+    """The checks that warn or fail, failures first."""
+    bad = [check for check in checks if check.verdict in (WARN, FAIL)]
+    return sorted(bad, key=lambda check: -RANK[check.verdict])
+
+
 def _formal(check: FlightCheck) -> bool:
     return check.name in PASS_WITHOUT_FLIGHT or check.name.startswith("link from")
 
@@ -119,10 +124,8 @@ def check_level(
     rows = [row for row in rows if len(row[1]) >= MIN_SAMPLES]
     if not rows:
         reason = "no data" if not signals or only is None else "no data while armed"
-        return FlightCheck(
-            name=name, verdict=NONE, evidence=reason, limit=limits.text(), panel=panel
-        )
-    verdict, windows, worst = PASS, [], []
+        return FlightCheck(name, NONE, reason, limits.text(), panel=panel)
+    verdict, beyond, worst = PASS, [], []
     for label, t_s, value in rows:
         # One comparison for upper and lower limits.
         sign = -1.0 if limits.below else 1.0
@@ -133,22 +136,23 @@ def check_level(
         # The worst curve decides.
         if RANK[found] > RANK[verdict]:
             verdict = found
-        windows.extend(warning)
+        beyond.extend(warning)
         # Signed, so that the largest is the worst for upper and lower limits.
         worst.append((sign * value.max() if sign > 0 else -value.min(), label, t_s, value))
     _, label, t_s, value = max(worst, key=lambda row: row[0])
     evidence = _evidence(label, t_s, value, limits, len(rows) > 1)
-    if windows:
-        evidence += _excess_text(merged_windows(windows), limits.hold_s)
-    return FlightCheck(
-        name=name,
-        verdict=verdict,
-        evidence=evidence,
-        limit=limits.text(),
-        windows=tuple(merged_windows(windows)),
-        panel=panel,
-        levels=(limits.warn, limits.fail),
-    )
+    windows = merged_windows(beyond)
+    evidence += _excess_text(windows, limits.hold_s) if windows else ""
+    levels = limits.warn, limits.fail
+    return FlightCheck(name, verdict, evidence, limits.text(), tuple(windows), panel, levels)
+
+
+def restrict_to_classes(check: FlightCheck, vehicle: str, classes: Collection[str]) -> FlightCheck:
+    """The check, not judged for a class of vehicle for which it does not hold (none: for all)."""
+    if not vehicle or not classes or vehicle in classes:
+        return check
+    evidence = f"does not hold for a {vehicle}"
+    return msgspec.structs.replace(check, verdict=NONE, evidence=evidence, windows=())
 
 
 def _excess_text(windows: Sequence[tuple[float, float]], hold_s: float) -> str:

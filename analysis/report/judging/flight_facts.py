@@ -47,12 +47,10 @@ def _inside(
     recording: FlightData, panel: str, names: tuple[str, ...], armed: list[tuple[float, float]]
 ) -> Signal | None:
     """The first curve with one of the names, NaN outside the windows; None without any value."""
-    curves = {signal.name: signal for signal in recording.of(panel)}
-    signal = next((curves[name] for name in names if name in curves), None)
-    if signal is None:
+    if (signal := recording.curve(panel, *names)) is None:
         return None
     value = np.where(inside_windows(signal.t_s, armed), signal.value, np.nan)
-    return Signal(panel, signal.name, signal.t_s, value) if np.isfinite(value).any() else None
+    return signal._replace(value=value) if np.isfinite(value).any() else None
 
 
 def _metres(length_m: float) -> str:

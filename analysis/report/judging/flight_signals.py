@@ -69,7 +69,7 @@ def collect_signals(
     motion = record.motion
     if motion is None or not motion.has_height:
         return None
-    true = next((s for s in recording.of("altitude") if s.name == TRUTH), None)
+    true = recording.curve("altitude", TRUTH)
     if ground_m is not None and motion.from_truth and true is not None:
         height_m = np.interp(motion.t_s, true.t_s, true.value) - ground_m
         motion = motion._replace(height_m=height_m, from_ground=True)
@@ -132,13 +132,13 @@ def _motion_signals(recording: FlightData, motion: VehicleMotion, grid: _Grid) -
     )  # fmt: skip
     margin_m = np.minimum(radius_m - distance_m, top_m - motion.height_m)
     names = (TRUTH,) if motion.from_truth else ("ground", "GPS")
-    speeds = {s.name: (s.t_s, s.value) for s in recording.of("speed")}
+    speed = recording.curve("speed", *names)
     return {
         "height_m": motion.height_m,
         "north_m": motion.north_m,
         "east_m": motion.east_m,
         "distance_m": distance_m,
-        "speed_mps": grid.curve(next((speeds[n] for n in names if n in speeds), None)),
+        "speed_mps": grid.curve((speed.t_s, speed.value) if speed else None),
         "climb_mps": -motion.sink_mps,
         "tilt_deg": motion.tilt_deg,
         "fence_margin_m": margin_m,

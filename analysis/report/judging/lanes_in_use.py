@@ -6,7 +6,6 @@ of each estimator instance.
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -72,8 +71,8 @@ def check_in_use(
     used, spare = [], []
     for signal in signals:
         inside = inside_windows(signal.t_s, windows.get(number_of(signal.name), ()))
-        used.append(replace(signal, value=np.where(inside, signal.value, np.nan)))
-        spare.append(replace(signal, value=np.where(inside, np.nan, signal.value)))
+        used.append(signal._replace(value=np.where(inside, signal.value, np.nan)))
+        spare.append(signal._replace(value=np.where(inside, np.nan, signal.value)))
     # A single one is in use whatever its number.
     if len({number_of(signal.name) for signal in signals}) < 2:
         return check_level(name, signals, limits, only)

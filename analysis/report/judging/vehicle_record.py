@@ -3,9 +3,16 @@
 import numpy as np
 
 from analysis.report.curves.derived_curves import OWN_ATTITUDE
-from analysis.report.curves.recording import FlightData, GroundTrack, Signal, Vector
+from analysis.report.curves.recording import (
+    FlightData,
+    Signal,
+    Vector,
+    Windows,
+    merged_windows,
+    true_runs,
+)
 from analysis.report.curves.vehicle_phase import armed_windows
-from analysis.report.judging.autopilot_texts import is_alarming
+from analysis.report.judging.autopilot_texts import INFORMATION, is_alarming
 from analysis.scoring.vehicle_outcome import (
     TimedText,
     VehicleMotion,
@@ -21,6 +28,10 @@ TRACKS = ("estimate", "local estimate", "GPS")
 LONGEST_S = 1e6  # eleven days; in a log that lasts longer, times are wrong
 MOST_STEPS = 500_000  # of a motion, 14 hours of estimates; chosen to limit memory
 START_M = 1.0  # chosen: a vehicle that gets lower than this below its start began in the air
+STEERING = ("channel 1", "channel 2")  # roll and pitch of a remote control
+CENTRE_US, HALF_RANGE_US = 1500.0, 500.0
+STICK_SHARE = 0.1  # chosen: beyond the dead zone, and the trim of a remote control
+BRAKED_S = 5.0  # chosen: a vehicle has stopped this long after the sticks are let go
 FIXED_WING_TYPE, PX4_FIXED_WING = 1, 2  # MAV_TYPE_FIXED_WING, vehicle_status.vehicle_type
 
 
@@ -34,20 +45,22 @@ def vehicle_record(recording: FlightData) -> VehicleRecord:
     texts = [event for event in recording.events if event.kind in ("text", "error")]
     modes = [span for span in recording.spans if span.lane == "mode"]
     commands = [event for event in recording.events if event.kind == "command"]
-    error = next((s for s in recording.of("position-error") if s.name == "estimate"), None)
+    error = recording.curve("position-error", "estimate")
     motion = vehicle_motion(recording)
     return VehicleRecord(
         motion,
         armed_windows(recording),
         [TimedText(span.start_s, span.text) for span in modes],
         [TimedText(event.t_s, event.text) for event in commands] or None,
-        [TimedText(event.t_s, event.text) for event in texts],
+        # What is mere information explains no failsafe.
+        [TimedText(event.t_s, event.text) for event in texts if not INFORMATION.search(event.text)],
         [TimedText(event.t_s, event.text) for event in texts if is_alarming(event)],
         [TimedText(e.t_s, e.text) for e in recording.events if e.kind == "failsafe"],
         None if error is None else (error.t_s, error.value),
         _tilt_error(recording),
         _felt_force(recording),
         _hovers(recording),
+        _steered(recording),
     )
 
 
@@ -109,8 +122,7 @@ def _sink(recording: FlightData, true: bool, t_s: Vector, height_m: Vector) -> V
 
 def _path(recording: FlightData, names: tuple[str, ...], t_s: Vector) -> tuple[Vector, Vector]:
     """North and east [m] (n,) of the first position; NaN without a track."""
-    tracks = {track.name: track for track in recording.tracks if len(track.t_s) > 1}
-    track: GroundTrack | None = next((tracks[name] for name in names if name in tracks), None)
+    track = recording.track(*names)
     if track is None:
         return np.full(len(t_s), np.nan), np.full(len(t_s), np.nan)
     start = float(track.lat_deg[0]), float(track.lon_deg[0])
@@ -130,10 +142,7 @@ def _tilt(recording: FlightData, names: tuple[str, ...], t_s: Vector) -> Vector:
 
 def _tilt_error(recording: FlightData) -> tuple[Vector, Vector] | None:
     """The error [deg] of the autopilot's roll and pitch together."""
-    roll, pitch = (
-        next((s for s in recording.of(f"error-{part}") if s.name == "autopilot"), None)
-        for part in ("roll", "pitch")
-    )
+    roll, pitch = (recording.curve(f"error-{part}", "autopilot") for part in ("roll", "pitch"))
     if roll is None or pitch is None:
         return None
     return roll.t_s, np.hypot(roll.value, np.interp(roll.t_s, pitch.t_s, pitch.value))
@@ -158,3 +167,22 @@ def _hovers(recording: FlightData) -> bool:
     spoken = " ".join(event.text for event in recording.events[:100] if event.kind == "text")
     # A copter that is guided from outside flies from place to place.
     return "ArduCopter" in spoken and "GUIP" not in recording.messages
+
+
+def _steered(recording: FlightData) -> Windows:
+    """When a pilot moves the vehicle by the sticks of roll and pitch, and until it has braked.
+
+    ArduPilot's LOITER is a pilot's mode: without the sticks in the log it may be steered any time.
+    """
+    sticks = [(curve, 0.0, STICK_SHARE) for curve in recording.of("sticks")
+              if curve.name in ("roll", "pitch")]  # fmt: skip
+    sticks = sticks or [(curve, CENTRE_US, STICK_SHARE * HALF_RANGE_US)
+                        for curve in recording.of("rc") if curve.name in STEERING]  # fmt: skip
+    if not sticks and recording.autopilot == "ardupilot":
+        return [(s.start_s, s.end_s) for s in recording.spans if s.text == "LOITER"]
+    found = []
+    for curve, centre, least in sticks:
+        moved = np.abs(curve.value - centre) > least
+        found += [(float(curve.t_s[begin]), float(curve.t_s[end - 1]) + BRAKED_S)
+                  for begin, end in true_runs(moved)]  # fmt: skip
+    return merged_windows(found)

@@ -43,16 +43,17 @@ def write_figures(folder: Path, recording: FlightData) -> list[Path]:
     return written
 
 
-def _axes(width_in: float, height_in: float) -> tuple[Any, Any]:
+def new_figure(width_in: float, height_in: float, **axes: Any) -> tuple[Any, Any]:
+    """A figure and its axes."""
     # `Figure` without pyplot, which would keep every figure until it is closed.
     figure = import_extra("matplotlib.figure").Figure(
         figsize=(width_in, height_in), layout="constrained"
     )
-    return figure, figure.add_subplot()
+    return figure, figure.add_subplot(**axes)
 
 
 def _figure(folder: Path, panel: Panel, recording: FlightData) -> list[Path]:
-    figure, axes = _axes(8, 3)
+    figure, axes = new_figure(8, 3)
     signals = recording.of(panel.key)
     colours = series_colours([signal.name for signal in signals])
     for signal, colour in zip(signals, colours, strict=True):
@@ -73,7 +74,7 @@ def _figure(folder: Path, panel: Panel, recording: FlightData) -> list[Path]:
 
 
 def _spectrum(folder: Path, panel: SpectrumPanel, recording: FlightData) -> list[Path]:
-    figure, axes = _axes(8, 3)
+    figure, axes = new_figure(8, 3)
     colours = series_colours([spectrum.name for spectrum in panel.spectra])
     for spectrum, colour in zip(panel.spectra, colours, strict=True):
         label, line = spectrum.name, PALETTE[colour]
@@ -93,7 +94,7 @@ def _spectrum(folder: Path, panel: SpectrumPanel, recording: FlightData) -> list
 
 
 def _map(folder: Path, recording: FlightData) -> list[Path]:
-    figure, axes = _axes(6, 6)
+    figure, axes = new_figure(6, 6)
     tracks = tracks_in_flight(recording)
     colours = series_colours([track.name for track in tracks])
     for track, colour in zip(tracks, colours, strict=True):

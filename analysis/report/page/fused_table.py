@@ -14,7 +14,7 @@ NOTE = (
 
 def fused_table(recording: FlightData) -> ReportTable | None:
     """One row per fused solution; None without the truth or a fused solution."""
-    truth = next((track for track in recording.tracks if track.name == "truth"), None)
+    truth = recording.track("truth")
     tracks = [track for track in recording.tracks if track.name.startswith(FUSED)]
     if truth is None or not tracks:
         return None
@@ -29,10 +29,10 @@ def fused_table(recording: FlightData) -> ReportTable | None:
 
 def _sigmas(recording: FlightData) -> tuple[Vector, Vector] | None:
     """Times (n,) and sigmas (n, 3) north, east, down of the fused solution."""
-    curves = {signal.name: signal for signal in recording.of("fused-sigma")}
-    if any(axis not in curves for axis in AXES):
+    curves = [curve for axis in AXES if (curve := recording.curve("fused-sigma", axis))]
+    if len(curves) < len(AXES):
         return None
-    return curves["north"].t_s, np.column_stack([curves[axis].value for axis in AXES])
+    return curves[0].t_s, np.column_stack([curve.value for curve in curves])
 
 
 def _row(

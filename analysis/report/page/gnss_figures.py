@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.report.page.figures import new_figure
 from analysis.report.page.series_colours import PALETTE, series_colours
 from analysis.results import Decision, Result
 from analysis.samples.sample import Vector
@@ -60,13 +61,6 @@ def _table(seen: Sequence[Decision]) -> tuple[Vector, list[str]]:
     return np.array(rows), names
 
 
-def _figure(width_in: float, height_in: float, **axes: Any) -> tuple[Any, Any]:
-    figure = import_extra("matplotlib.figure").Figure(
-        figsize=(width_in, height_in), layout="constrained"
-    )
-    return figure, figure.add_subplot(**axes)
-
-
 def _svg(figure: Any) -> bytes:
     mpl = import_extra("matplotlib")
     found = io.BytesIO()
@@ -79,7 +73,7 @@ def draw_sky(
     elevation_deg: Vector, azimuth_deg: Vector, out: Vector, places: Vector, names: Sequence[str]
 ) -> bytes:
     """Sky plot of directions (k,), excluded (`out`) in red; `places` (k,) index `names`."""
-    figure, axes = _figure(5, 5, projection="polar")
+    figure, axes = new_figure(5, 5, projection="polar")
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
     axes.set(rlim=(0, 90), yticks=(0, 30, 60, 90), yticklabels=("90°", "60°", "30°", ""))
@@ -94,7 +88,7 @@ def draw_sky(
 
 
 def _residuals(table: Vector) -> bytes:
-    figure, axes = _figure(6, 3)
+    figure, axes = new_figure(6, 3)
     elevation, _, residual, excluded, _ = table.T
     out = excluded > 0.0
     for rows, colour, size in ((~out, PALETTE[0], 2), (out, EXCLUDED_COLOUR, 4)):
@@ -105,7 +99,7 @@ def _residuals(table: Vector) -> bytes:
 
 
 def _distribution(errors: dict[str, Vector]) -> bytes:
-    figure, axes = _figure(6, 3)
+    figure, axes = new_figure(6, 3)
     colours = series_colours(list(errors))
     for (name, table), colour in zip(errors.items(), colours, strict=True):
         share = np.arange(1, len(table) + 1) / len(table)
@@ -121,7 +115,7 @@ def _distribution(errors: dict[str, Vector]) -> bytes:
 
 def _stanford(table: Vector) -> bytes:
     """Stanford diagram: points below the diagonal are (hazardously) misleading information."""
-    figure, axes = _figure(4, 4)
+    figure, axes = new_figure(4, 4)
     axes.loglog(table[:, 0], table[:, 1], ".", ms=2, color=PALETTE[0], rasterized=True)
     ends = min(table.min(), 0.1), table.max() * 2.0
     axes.plot(ends, ends, color=EXCLUDED_COLOUR, lw=0.8)

@@ -3,20 +3,19 @@
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
-from analysis.report.curves.panels import CHECKS, DETECTION, FUSION, GPS, LINK, TIMELINE
+from analysis.report.curves.panels import CHECKS, GPS, LINK, TIMELINE
 from analysis.report.flight_verdict import FlightAssessment
 from analysis.report.judging.checks import FAIL, PASS, WARN, FlightCheck, chain_text
 from analysis.report.judging.flight_facts import flight_facts
-from analysis.report.page.fused_table import fused_table
 from analysis.report.page.log_sky import sky_pictures
 from analysis.report.page.page_parts import SENSOR_LIMIT, LimitLine, ReportPage, ReportTable
 from analysis.report.page.report_tables import (
     check_reasons,
     checks_tables,
     links_table,
-    matrix_table,
     parameters_table,
     reaction_table,
+    result_tables,
     run_facts,
     run_tables,
 )
@@ -42,13 +41,7 @@ def log_page(outcome: FlightAssessment, tables: Sequence[tuple[str, ReportTable]
     reaction = reaction_table(summary["faults"])
     if reaction is not None:
         every.append((TIMELINE, reaction))
-    matrix = matrix_table(flight.labels, flight.results)
-    if matrix is not None:
-        every.append((DETECTION, matrix))
-    fused = fused_table(recording)
-    if fused is not None:
-        every.append((FUSION, fused))
-    every += tables
+    every += [*result_tables(flight.labels, flight.results, recording), *tables]
     if recording.links:
         every.append((LINK, links_table(recording)))
     if recording.parameters:

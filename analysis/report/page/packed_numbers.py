@@ -14,12 +14,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.report.curves.recording import Vector
+from analysis.report.curves.recording import Span, Vector
 from analysis.report.recordings.thinning import extreme_indices
 
 MAX_CURVE_SAMPLES = 100_000  # per curve; longer ones are thinned to their extremes
 MAX_SAMPLES = 400_000  # of all curves of a page; chosen to keep the file small
 GAP_STEPS, LEAST_GAP_S = 10.0, 0.5  # chosen: a pause longer than both is a gap
+MOST_SPANS = 1000  # of a lane: a screen has hardly more pixels beside the lanes' names
 HALF_TURN_DEG = 180.0
 EVEN_S = 1e-5  # residuals below it are not stored
 
@@ -101,6 +102,34 @@ def break_at_wraps(t_s: Vector, angle_deg: Vector) -> tuple[Vector, Vector]:
     wraps = np.flatnonzero(np.abs(np.diff(angle_deg)) > HALF_TURN_DEG)
     middle = (t_s[wraps] + t_s[wraps + 1]) / 2
     return np.insert(t_s, wraps + 1, middle), np.insert(angle_deg, wraps + 1, np.nan)
+
+
+def thin_spans(spans: Sequence[Span]) -> list[Span]:
+    """The spans of a timeline; on a lane with more than `MOST_SPANS` equal ones that are less than
+    a pixel apart are one."""
+    lanes: dict[str, list[Span]] = {}
+    for span in spans:
+        lanes.setdefault(span.lane, []).append(span)
+    found: list[Span] = []
+    for some in lanes.values():
+        if len(some) > MOST_SPANS:
+            length_s = max(span.end_s for span in some) - min(span.start_s for span in some)
+            some = _merged_spans(some, length_s / MOST_SPANS)
+        found += some
+    return found
+
+
+def _merged_spans(spans: Sequence[Span], pixel_s: float) -> list[Span]:
+    last: dict[tuple[str, str], int] = {}
+    found: list[Span] = []
+    for span in sorted(spans, key=lambda span: span.start_s):
+        at = last.get((span.text, span.kind), -1)
+        if at >= 0 and span.start_s - found[at].end_s < pixel_s:
+            found[at] = found[at]._replace(end_s=max(found[at].end_s, span.end_s))
+        else:
+            last[span.text, span.kind] = len(found)
+            found.append(span)
+    return found
 
 
 def thin_curve(

@@ -21,6 +21,7 @@ from analysis.report.page.packed_numbers import (
     break_at_wraps,
     longest_curve,
     thin_curve,
+    thin_spans,
 )
 from analysis.report.page.page_parts import ReportPage
 from analysis.report.page.series_colours import series_colours
@@ -52,9 +53,9 @@ def page_model(page: ReportPage, recording: FlightData, numbers: PackedNumbers) 
         "panels": _panels(page, recording, numbers),
         "spans": [
             {"lane": s.lane, "start": s.start_s, "end": s.end_s, "text": s.text, "kind": s.kind}
-            for s in sorted(recording.spans, key=lambda span: _lane_rank(span.lane))
+            for s in sorted(thin_spans(recording.spans), key=lambda span: _lane_rank(span.lane))
         ],
-        "marks": [asdict(event) for event in recording.events[:MARKS_SHOWN]],
+        "marks": [event._asdict() for event in recording.events[:MARKS_SHOWN]],
         "tracks": _tracks(tracks, recording, numbers),
         # Tracks are in metres from this point.
         "origin": _origin(tracks),

@@ -4,9 +4,17 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from analysis.report.curves.panels import ATTITUDE, CHECKS, FAULT_EFFECTS, TIMELINE
+from analysis.report.curves.panels import (
+    ATTITUDE,
+    CHECKS,
+    DETECTION,
+    FAULT_EFFECTS,
+    FUSION,
+    TIMELINE,
+)
 from analysis.report.curves.recording import FlightData
-from analysis.report.judging.checks import FAIL, NONE, PASS, RANK, WARN, FlightCheck
+from analysis.report.judging.checks import FAIL, NONE, PASS, RANK, FlightCheck, worst_first
+from analysis.report.page.fused_table import fused_table
 from analysis.report.page.page_parts import Cell, ReportTable, TimeButtons
 from analysis.report.recordings.from_results import isolation_matrix
 from analysis.results import Result
@@ -170,6 +178,14 @@ def matrix_table(labels: Sequence[Label], results: Sequence[Result]) -> ReportTa
     return ReportTable("Isolation matrix", ("injected", *heads), rows, note, style="matrix")
 
 
+def result_tables(
+    labels: Sequence[Label], results: Sequence[Result], recording: FlightData
+) -> list[tuple[str, ReportTable]]:
+    """Tables of the monitor's isolations and of the fused solutions, as far as there are any."""
+    found = (DETECTION, matrix_table(labels, results)), (FUSION, fused_table(recording))
+    return [(section, table) for section, table in found if table is not None]
+
+
 def checks_tables(checks: Sequence[FlightCheck]) -> list[ReportTable]:
     """Failed checks first, then passed and not judged ones, folded."""
     head = ("verdict", "check", "found", "limit", "when")
@@ -188,8 +204,7 @@ def checks_tables(checks: Sequence[FlightCheck]) -> list[ReportTable]:
 
 def check_reasons(checks: Sequence[FlightCheck]) -> list[tuple[str, str]]:
     """Warnings and failures that determine the verdict, the worst first."""
-    bad = [check for check in checks if check.verdict in (WARN, FAIL)]
-    bad.sort(key=lambda check: -RANK[check.verdict])
+    bad = worst_first(checks)
     # Sorted, so that those omitted are never worse than those shown.
     lines = [(check.verdict, f"{check.name}: {check.evidence}") for check in bad[:REASONS]]
     if len(bad) > REASONS:

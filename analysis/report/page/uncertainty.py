@@ -16,16 +16,14 @@ def track_sigma(track: GroundTrack, recording: FlightData) -> tuple[Vector, Vect
     so each axis has half the variance.
     """
     if track.name == FUSED:
-        curves = {signal.name: signal for signal in recording.of(FUSED_PANEL)}
-        found = tuple(_at(track, curves[axis]) for axis in ("north", "east") if axis in curves)
-        return (found[0], found[1]) if len(found) == 2 else None
+        north, east = (recording.curve(FUSED_PANEL, axis) for axis in ("north", "east"))
+        return (_at(track, north), _at(track, east)) if north and east else None
     for name, panel in PANELS_OF:
         # The second receiver is "GPS 2", with the accuracy "horizontal 2".
-        wanted = f"horizontal{track.name.removeprefix(name)}"
-        for signal in recording.of(panel):
-            if track.name.startswith(name) and signal.name == wanted:
-                each = _at(track, signal) / np.sqrt(2.0)
-                return each, each
+        signal = recording.curve(panel, f"horizontal{track.name.removeprefix(name)}")
+        if track.name.startswith(name) and signal is not None:
+            each = _at(track, signal) / np.sqrt(2.0)
+            return each, each
     return None
 
 

@@ -10,13 +10,11 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from analysis.recordings.flight_logs.dataflash import HEAD, is_dataflash, read_dataflash
-from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
+from analysis.recordings.flight_logs.autopilot_logs import is_autopilot_log, read_topics
 from analysis.report.curves.recording import FlightData, join_recordings
-from analysis.report.recordings.from_dataflash import recording_of_dataflash
+from analysis.report.recordings.from_autopilot_log import recording_of_log
 from analysis.report.recordings.from_results import axis_start, recording_of_results
 from analysis.report.recordings.from_tlog import merge_logs, recording_of_tlog
-from analysis.report.recordings.from_ulog import recording_of_ulog
 from analysis.report.recordings.reading_bar import reading_bar
 from analysis.report.recordings.thinning import WHOLE_BYTES, block_thinning, read_contents
 from analysis.results import Result, decode, read_results
@@ -65,19 +63,14 @@ def group_logs(paths: Sequence[Path]) -> list[list[Path]]:
 
 
 def _span(path: Path) -> tuple[int, int] | None:
-    if path.is_dir():
+    if path.is_dir() or path.suffix == ".jsonl" or _is_mcap(path) or is_autopilot_log(path):
         return None
-    head = _head(path)
-    other = is_ulog(head) or is_dataflash(head) or head.startswith(MCAP_MAGIC)
-    return None if other or path.suffix == ".jsonl" else tlog.extent_us(path)
+    return tlog.extent_us(path)
 
 
-def _head(path: Path) -> bytes:
-    try:
-        with path.open("rb") as file:
-            return file.read(HEAD)
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; give the path of a log") from error
+def _is_mcap(path: Path) -> bool:
+    with path.open("rb") as file:
+        return file.read(len(MCAP_MAGIC)) == MCAP_MAGIC
 
 
 @np.errstate(invalid="ignore", over="ignore")  # a log may hold any bits as a number
@@ -92,20 +85,16 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> RecordedFligh
     if paths[0].is_dir():
         return _run_folder(paths[0], labels)
     t0_us = labels[0].t0_us if labels else None
-    head = _head(paths[0])
-    name = paths[0].stem
-    if head.startswith(MCAP_MAGIC) or paths[0].suffix == ".jsonl":
-        return _results_alone(paths[0], labels)
-    if is_ulog(head) or is_dataflash(head):
-        size = written_bytes(paths[0])
-        thin = block_thinning(size)
-        if is_ulog(head):
-            with reading_bar(paths[0]) as progress:
-                log = read_ulog(paths[0], progress, thin)
-            recording = recording_of_ulog(log, name, t0_us)
-        else:
-            recording = recording_of_dataflash(read_dataflash(paths[0], thin=thin), name, t0_us)
-        recording.notes.extend([THINNED.format(name, size / 1e6)] if size > WHOLE_BYTES else [])
+    path = paths[0]
+    if path.suffix == ".jsonl" or _is_mcap(path):
+        return _results_alone(path, labels)
+    if is_autopilot_log(path):
+        size = written_bytes(path)
+        with reading_bar(path) as progress:
+            log = read_topics(path, thin=block_thinning(size), progress=progress)
+        recording = recording_of_log(log, path.stem, t0_us)
+        thinned = THINNED.format(path.stem, size / 1e6)
+        recording.notes.extend([thinned] if size > WHOLE_BYTES else [])
     else:
         recording = _tlogs(paths, t0_us)
     if not (recording.signals or recording.spans or recording.events or recording.links):

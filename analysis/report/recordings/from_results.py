@@ -72,7 +72,9 @@ def recording_of_results(
         else:
             _fused(result, t_s, points)
             fused[result.name].append((t_s, result.position_ecef_m))
-            found.events.extend(_restarted(result, t_s))
+            if result.reason:  # a start, a failure, late data
+                text = f"{result.name}: {result.reason}"
+                found.events.append(Event(t_s, "fusion", text, 4))
     for (panel, name), values in points.items():
         every = epochs if panel in EVERY_EPOCH else ()
         found.signals.append(_signal(panel, name, values, every))
@@ -130,11 +132,6 @@ def _fused(state: FusedState, t_s: float, points: Points) -> None:
         points["fused-sigma", axis].append((t_s, sigma))
     for source, weight in state.weights.items():
         points["fused-weight", source].append((t_s, weight))
-
-
-def _restarted(state: FusedState, t_s: float) -> list[Event]:
-    """Events of the fused solution: start, failure, late data."""
-    return [Event(t_s, "fusion", f"{state.name}: {state.reason}", 4)] if state.reason else []
 
 
 def _signal(

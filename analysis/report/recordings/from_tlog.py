@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.field_maps.tlog_map import TLOG
+from analysis.field_maps.field_map import TLOG
 from analysis.recordings.flight_logs.log_stamps import (
     GROUND_STATION,
     NO_AUTOPILOT,
@@ -16,18 +16,17 @@ from analysis.recordings.flight_logs.log_stamps import (
 from analysis.recordings.flight_logs.message_clock import LogClock, clock_of
 from analysis.report.curves.recording import Event, FlightData, Message, local_track, value_spans
 from analysis.report.curves.vehicle_phase import ARDUPILOT, CLASSES, PX4, mode_name
-from analysis.report.recordings.event_names import STATES
 from analysis.report.recordings.link_quality import link_quality
-from analysis.report.recordings.mapped_message import add_message
+from analysis.report.recordings.mapped_message import add_message, mode_events
 from analysis.report.recordings.text_severities import OLD_SEVERITIES, has_old_severities
 from analysis.report.recordings.vehicle_identity import identity_by_messages
 from mavproxy_fault.wire.tlog import Columns
 
-LANDED_STATES = {1: "landed", 2: "flying", 3: "flying", 4: "flying"}  # MAV_LANDED_STATE
 ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 HEADER = ("t_us", "system", "component", "seq")  # columns that are not fields of the message
 TRUTH = "HIL_STATE_QUATERNION"
 # Messages from which a report has curves.
+CRITICAL = {5: "CRITICAL", 6: "EMERGENCY"}  # MAV_STATE
 SHOWN = {name for name, lines in TLOG.items() if any(line.is_curve for line in lines)}
 TURNING_RPS = 0.05  # chosen: a larger range of a gyroscope means rotation
 SET_MODE = 176  # MAV_CMD_DO_SET_MODE
@@ -104,6 +103,7 @@ def recording_of_tlog(
     for vehicle in vehicles:
         _add_vehicle(found, vehicle)
         found.events.extend(_commanded_modes(columns, vehicle))
+    found.events.extend(mode_events(found.spans))
     armed = [(s.start_s, s.end_s) for s in found.spans if s.text == "armed"]
     quality, losses = link_quality(links or {}, vehicles[0].clock, armed)
     found.links.extend(quality)
@@ -203,7 +203,6 @@ def _add_vehicle(found: FlightData, vehicle: _Vehicle) -> None:
             add_message(found, lines, messages[name], vehicle.suffix)
     _add_local_track(found, vehicle, messages.get("LOCAL_POSITION_NED"))
     _add_modes(found, vehicle)
-    _add_landed(found, vehicle)
     _add_texts(found, vehicle)
     _add_parameters(found, vehicle)
 
@@ -271,24 +270,10 @@ def _add_modes(found: FlightData, vehicle: _Vehicle) -> None:
     ]
     armed = ["armed" if mode & ARMED else "disarmed" for mode in beats["base_mode"].tolist()]
     # Only CRITICAL and EMERGENCY have a name; other states make no span.
-    states = [STATES.get(state, "") for state in beats["system_status"].tolist()]
-    for lane, values, kind in (("mode", names, "mode"), ("armed", armed, "mode")):
-        found.spans.extend(value_spans(lane + vehicle.suffix, t_s, values, kind))
+    states = [CRITICAL.get(state, "") for state in beats["system_status"].tolist()]
+    found.spans.extend(value_spans("mode" + vehicle.suffix, t_s, names))
+    found.spans.extend(value_spans("armed" + vehicle.suffix, t_s, armed))
     found.spans.extend(value_spans("system status" + vehicle.suffix, t_s, states, "fail"))
-    for i in range(1, len(beats)):
-        if names[i] != names[i - 1]:
-            found.events.append(Event(float(t_s[i]), "mode", f"mode {names[i]}{vehicle.suffix}"))
-        if armed[i] != armed[i - 1]:
-            found.events.append(Event(float(t_s[i]), "mode", armed[i] + vehicle.suffix))
-
-
-def _add_landed(found: FlightData, vehicle: _Vehicle) -> None:
-    rows = vehicle.columns.get("EXTENDED_SYS_STATE")
-    # Zero means undefined.
-    if rows is not None and rows["landed_state"].any():
-        texts = [LANDED_STATES.get(state, "") for state in rows["landed_state"].tolist()]
-        t_s = vehicle.clock.seconds(rows)
-        found.spans.extend(value_spans("flying" + vehicle.suffix, t_s, texts))
 
 
 def _add_texts(found: FlightData, vehicle: _Vehicle) -> None:

@@ -1,21 +1,38 @@
-"""Add what the field map says of one message to the data of a flight: curves, tracks and flags."""
+"""Add what the field map says of one message to the data of a flight: curves, tracks, flags
+and states."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from analysis.field_maps.field_map import FLAGS, NOTHING, TRACK, MapLine, rows_of, values_of
+from analysis.field_maps.field_map import (
+    FLAGS,
+    NOTHING,
+    STATE,
+    STATES,
+    TRACK,
+    MapLine,
+    evaluate,
+    rows_of,
+    values_of,
+)
 from analysis.report.curves.recording import (
     REJECTED_S,
+    Event,
     FlightData,
     GroundTrack,
     Message,
     Signal,
+    Span,
     active_spans,
     flag_events,
+    value_spans,
 )
 
 GATE = "gate"  # names of gates begin with this; they have a curve below zero too
+# Beginning and severity of the events of some lanes.
+SAID = {"mode": ("mode ", 6), "estimator in use": ("estimator: ", 4)}
 
 
 def add_message(
@@ -23,11 +40,13 @@ def add_message(
     lines: Iterable[MapLine],
     message: Message,
     suffix: str = "",
-    constants: Mapping[str, float] = NOTHING,
+    constants: Mapping[str, Any] = NOTHING,
 ) -> None:
     """Add the curves, tracks and flags of a message; `suffix` names its instance or system."""
     for line in lines:
-        if line.target == TRACK:
+        if line.target in STATES:
+            _add_state(found, line, message, suffix, constants)
+        elif line.target == TRACK:
             _add_track(found, line, message, suffix)
         elif line.target[0].islower():
             values = values_of(line, message.columns, constants)
@@ -59,6 +78,34 @@ def add_flag(
     spans = active_spans(lane, message.t_s, raised, text, shown, least_s)
     found.spans.extend(spans)
     found.events.extend(flag_events(spans, float(message.t_s[-1])))
+
+
+def _add_state(
+    found: FlightData, line: MapLine, message: Message, suffix: str, constants: Mapping[str, Any]
+) -> None:
+    """Add the spans of a state; the last one lasts until the end of the log."""
+    words, lane = evaluate(line.value, message.columns, constants), line.name + suffix
+    known = line.target == STATE and any(span.lane == lane for span in found.spans)
+    if words is not None and len(words) and not known:
+        # Of several messages that say it, the first counts.
+        t_s = np.append(message.t_s, max(found.duration_s, float(message.t_s[-1])))
+        spans = value_spans(lane, t_s, [*words, words[-1]], STATES[line.target])
+        found.spans.extend(spans)
+        found.events.extend(flag_events(spans, float(t_s[-1])))
+
+
+def mode_events(spans: Sequence[Span]) -> list[Event]:
+    """The events of changes of state; the first span of a lane is its initial state."""
+    found, lanes = [], set()
+    for span in spans:
+        if span.kind == "mode" and span.lane in lanes:
+            # Of several vehicles the system stands behind the lane's name.
+            lane, bracket, system = span.lane.partition(" (")
+            word, severity = SAID.get(lane, ("", 6))
+            text = f"{word}{span.text}{bracket}{system}"
+            found.append(Event(span.start_s, "mode", text, severity))
+        lanes.add(span.lane)
+    return found
 
 
 def _add_track(found: FlightData, line: MapLine, message: Message, suffix: str) -> None:

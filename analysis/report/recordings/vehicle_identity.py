@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from analysis.field_maps.autopilot_names import NAMES
 from analysis.report.curves.recording import FlightData
 
 FIRMWARE = re.compile(
@@ -18,13 +19,7 @@ FIRMWARE = re.compile(
 # The board's name and the three words of the processor's unique id.
 BOARD = re.compile(r"^([\w.+-]+) ([0-9A-F]{8}) ([0-9A-F]{8}) ([0-9A-F]{8})$")
 FRAME = re.compile(r"^Frame: (.+)$")
-FRAMES = {
-    1: "fixed wing", 2: "quadrotor", 3: "coaxial", 4: "helicopter", 5: "antenna tracker",
-    7: "airship", 10: "rover", 11: "boat", 12: "submarine", 13: "hexarotor", 14: "octorotor",
-    15: "tricopter", 19: "tail-sitter, two rotors", 20: "tail-sitter, four rotors",
-    21: "tilt-rotor", 22: "VTOL", 23: "tail-sitter", 24: "tilt-wing", 29: "dodecarotor",
-    35: "decarotor",
-}  # MAV_TYPE  # fmt: skip
+FRAMES = NAMES["frame"]
 # FIRMWARE_VERSION_TYPE, from this number on.
 RELEASES = ((255, ""), (192, " rc"), (128, " beta"), (64, " alpha"), (0, " dev"))
 

@@ -9,7 +9,7 @@ from analysis.recordings.flight_logs.ulog import read_ulog
 from analysis.report.curves.derived_curves import add_derived_curves, derive_curves
 from analysis.report.curves.recording import FlightData, Message, Signal, Span
 from analysis.report.judging.flight_facts import flight_facts
-from analysis.report.recordings.from_ulog import recording_of_ulog
+from analysis.report.recordings.from_autopilot_log import recording_of_log
 from analysis.report.recordings.vehicle_identity import (
     identity_by_info,
     identity_by_messages,
@@ -50,7 +50,7 @@ def test_a_log_without_arming_has_no_key_figures() -> None:
 def test_key_figures_of_a_real_flight_equal_those_of_flight_review(shared_data: Path) -> None:
     """Flight Review: 6.1 m (in space, ours is over ground), 1 m, 3.1 km/h, 8.3 degrees."""
     log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
-    facts = dict(flight_facts(add_derived_curves(recording_of_ulog(log, ""))))
+    facts = dict(flight_facts(add_derived_curves(recording_of_log(log, ""))))
     assert float(facts["distance over ground"].removesuffix(" m")) == pytest.approx(4.9, abs=0.3)
     assert facts["height range"] == "0.9 m"
     assert facts["highest ground speed"] == "0.9 m/s"

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.field_maps.dataflash_map import DATAFLASH
-from analysis.field_maps.ulog_map import ULOG
+from analysis.field_maps.field_map import DATAFLASH, ULOG
 from analysis.report.curves.derived_curves import derive_curves
 from analysis.report.curves.recording import FlightData, Message, Signal
 from analysis.report.curves.spectra import frequency_marks, spectrum_panels

@@ -16,8 +16,7 @@ from analysis.report.flight_verdict import assess_flight
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.recordings.flight_sources import RecordedFlight as Source
 from analysis.report.recordings.flight_sources import read_flight
-from analysis.report.recordings.from_dataflash import recording_of_dataflash
-from analysis.report.recordings.from_ulog import recording_of_ulog
+from analysis.report.recordings.from_autopilot_log import recording_of_log
 from mavproxy_fault.documents.errors import ConfigError
 
 HEAD = b"\xa3\x95"
@@ -107,12 +106,12 @@ def old_dataflash(path: Path) -> Path:
 
 
 def test_a_dataflash_log_has_curves_modes_texts_and_parameters(tmp_path: Path) -> None:
-    found = recording_of_dataflash(read_dataflash(dataflash(tmp_path / "a.bin")), "a")
+    found = recording_of_log(read_dataflash(dataflash(tmp_path / "a.bin")), "a")
     assert found.of("yaw")[0].value[:2].tolist() == [90.0, 90.0]
     assert found.of("mag")[0].value[0] == pytest.approx(0.5)
     assert found.tracks[0].lat_deg[0] == pytest.approx(47.0)
     lanes = {(span.lane, span.text) for span in found.spans}
-    assert lanes == {("mode", "LOITER"), ("armed", "armed")}
+    assert lanes == {("mode", "LOITER"), ("armed", "disarmed"), ("armed", "armed")}
     assert found.parameters["INS_GYRO_FILTER"][0][1] == 20.0
     assert "ArduCopter V4.5" in [event.text for event in found.events]
 
@@ -138,17 +137,17 @@ def test_arming_is_derived_from_the_events_in_the_log(
     tmp_path: Path, events: dict[int, int], since_s: float, until_s: float
 ) -> None:
     log = read_dataflash(dataflash(tmp_path / "log.bin", events))
-    found = recording_of_dataflash(log, "log")
+    found = recording_of_log(log, "log")
     (armed,) = armed_windows(found) or ()
     assert armed == pytest.approx((since_s, until_s))
 
 
 def test_an_old_dataflash_log_in_milliseconds_is_read(tmp_path: Path) -> None:
     path = old_dataflash(tmp_path / "old.bin")
-    found = recording_of_dataflash(read_dataflash(path), "old")
+    found = recording_of_log(read_dataflash(path), "old")
     assert found.duration_s == pytest.approx(4.9)
     assert found.of("battery-voltage")[0].value[0] == pytest.approx(16.4)
-    assert [(s.text, s.end_s) for s in found.spans if s.lane == "armed"] == [("armed", 2.0)]
+    assert [s.end_s for s in found.spans if s.text == "armed"] == [2.0]
     assert ("crash check: error 1", 3) in [(e.text, e.severity) for e in found.events]
 
 
@@ -228,7 +227,7 @@ def test_a_gps_glitch_of_ardupilots_estimator_is_a_flag(tmp_path: Path) -> None:
     glitching = (t_us >= 4_000_000) & (t_us < 6_000_000)
     zeros = np.zeros(len(t_us), np.int64)
     log.topics[("XKF4", 0)] = {"TimeUS": t_us, "TS": zeros, "SS": 0x1F + (glitching << 14)}
-    found = recording_of_dataflash(log, "a")
+    found = recording_of_log(log, "a")
     (span,) = [span for span in found.spans if span.kind == "flag"]
     assert (span.lane, span.start_s, span.end_s) == ("estimator: GPS glitch", 3.0, 5.0)
     assert [(e.t_s, e.text) for e in found.events if e.kind == "flag"] == [
@@ -244,7 +243,7 @@ def test_a_measurement_that_ardupilot_rejects_for_a_second_is_a_flag(tmp_path: P
     short = np.where((t_us >= 4_000_000) & (t_us < 4_500_000), 1.1, 0.4)
     zeros = np.zeros(len(t_us), np.int64)
     log.topics[("XKF4", 0)] = {"TimeUS": t_us, "TS": zeros, "SH": ratio, "SP": short}
-    found = recording_of_dataflash(log, "a")
+    found = recording_of_log(log, "a")
     (span,) = [span for span in found.spans if span.kind == "flag"]
     assert (span.lane, span.start_s, span.end_s) == ("estimator: height rejected", 3.0, 5.0)
 
@@ -252,7 +251,7 @@ def test_a_measurement_that_ardupilot_rejects_for_a_second_is_a_flag(tmp_path: P
 def test_solution_status_bits_of_px4s_estimator_are_flags(shared_data: Path) -> None:
     log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
     topic = log.topics[("estimator_status", 0)]
-    assert not [s for s in recording_of_ulog(log, "a").spans if s.lane.startswith("estimator: ")]
+    assert not [s for s in recording_of_log(log, "a").spans if s.lane.startswith("estimator: ")]
     raised = np.arange(len(topic["timestamp"])) // 100 == 1
     solution = topic["solution_status_flags"] | raised << 11
     log.topics[("estimator_status", 0)] = {
@@ -261,7 +260,7 @@ def test_solution_status_bits_of_px4s_estimator_are_flags(shared_data: Path) -> 
         "gps_check_fail_flags": raised << 5,
         "innovation_check_flags": raised << 7,
     }
-    spans = [s for s in recording_of_ulog(log, "a").spans if s.lane.startswith("estimator: ")]
+    spans = [s for s in recording_of_log(log, "a").spans if s.lane.startswith("estimator: ")]
     # A receiver that fails the estimator's quality checks is a warning, not a flag.
     assert {(span.text, span.kind) for span in spans} == {
         ("accelerometer error", "flag"),
@@ -281,7 +280,7 @@ def test_a_measurement_that_px4_rejects_for_a_second_is_a_flag(shared_data: Path
     for for_s, texts in ((0.4, []), (3.0, ["baro height rejected"])):
         refused = (t_s >= begin_s) & (t_s < begin_s + for_s)
         log.topics[name] = {**topic, "innovation_rejected": refused.astype(np.uint8)}
-        found = recording_of_ulog(log, "a")
+        found = recording_of_log(log, "a")
         spans = [s for s in found.spans if s.lane.startswith("estimator: ")]
         assert [span.text for span in spans] == texts
         assert all(span.start_s == begin_s and span.kind == "flag" for span in spans)
@@ -295,7 +294,7 @@ def test_a_battery_that_is_not_connected_fails_no_log(shared_data: Path) -> None
     found = {}
     for connected in (0, 1):
         log.topics[("battery_status", 0)] = {**empty, "connected": np.full(rows, connected)}
-        flight = Source(recording_of_ulog(log, "a"), (Path("a.ulg"),), [])
+        flight = Source(recording_of_log(log, "a"), (Path("a.ulg"),), [])
         checks = assess_flight(flight, Thresholds()).checks
         found[connected] = {check.name: check.verdict for check in checks}["battery remaining"]
     assert found == {0: "not judged", 1: "FAIL"}

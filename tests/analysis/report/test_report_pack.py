@@ -5,14 +5,19 @@ import zlib
 
 import numpy as np
 
+from analysis.report.curves.recording import FlightData, Span
 from analysis.report.page.packed_numbers import (
     MAX_CURVE_SAMPLES,
+    MOST_SPANS,
     PackedNumbers,
     break_at_gaps,
     break_at_wraps,
     longest_curve,
     thin_curve,
+    thin_spans,
 )
+from analysis.report.page.page_file import page_html
+from analysis.report.page.page_parts import ReportPage
 from analysis.report.page.series_colours import PALETTE, series_colours
 
 
@@ -85,3 +90,23 @@ def test_a_quantity_has_the_same_colour_on_every_plot() -> None:
     assert len(set(together)) == 4
     assert len(PALETTE) == 12
     assert len(set(series_colours([f"G{i:02}" for i in range(11)]))) == 11
+
+
+def test_a_timeline_of_thousands_of_flights_stays_small() -> None:
+    flights = range(22_600)
+    armed = [Span("armed", 60.0 * i, 60.0 * i + 40, "armed", "mode") for i in flights]
+    armed += [Span("armed", 60.0 * i + 40, 60.0 * i + 60, "disarmed", "mode") for i in flights]
+    rare = Span("estimator in use", 5e5, 5e5 + 0.1, "core 2", "mode")
+    found = thin_spans([*armed, rare])
+    assert len(found) <= 2 * MOST_SPANS + 1
+    # Nothing is lost: what is merged still covers the flights.
+    assert rare in found
+    merged = [span for span in found if span.text == "armed"]
+    assert all(any(s.start_s <= 60.0 * i < s.end_s for s in merged) for i in (0, 11_000, 22_599))
+    page = page_html(ReportPage("x", "PASS", [], []), FlightData("x", spans=armed))
+    assert len(page) < 1_000_000
+
+
+def test_a_timeline_of_a_few_flights_is_complete() -> None:
+    spans = [Span("armed", 60.0 * i, 60.0 * i + 40, "armed", "mode") for i in range(MOST_SPANS)]
+    assert thin_spans(spans) == spans

@@ -20,8 +20,8 @@ from analysis.report.export_tracks import export_tracks
 from analysis.report.page.log_sky import sky_pictures
 from analysis.report.page.page_model import tracks_in_flight
 from analysis.report.page.uncertainty import track_sigma
+from analysis.report.recordings.from_autopilot_log import recording_of_log
 from analysis.report.recordings.from_tlog import recording_of_tlog
-from analysis.report.recordings.from_ulog import recording_of_ulog
 
 T = np.arange(5.0)
 GPS = GroundTrack("GPS", T, 47.0 + T * 1e-5, 8.0 + T * 0, 500.0 + T)
@@ -47,7 +47,7 @@ def test_metres_of_a_local_track_are_metres_on_the_map() -> None:
 
 
 def test_a_real_indoor_flight_has_a_local_track(shared_data: Path) -> None:
-    found = recording_of_ulog(read_ulog(shared_data / "ulog" / "gps_interference.ulg"), "indoors")
+    found = recording_of_log(read_ulog(shared_data / "ulog" / "gps_interference.ulg"), "indoors")
     (track,) = tracks_in_flight(found)
     # Its setpoint went from 0, 0.15 to 1, 1 m and back.
     assert not track.on_earth
@@ -83,7 +83,7 @@ def test_a_track_has_the_accuracy_of_its_own_source(
     track: str, signal: tuple[str, str], sigma: float | None
 ) -> None:
     accuracy = Signal(*signal, T + 0.5, np.full(5, np.sqrt(2.0)))
-    found = track_sigma(replace(GPS, name=track), FlightData("", signals=[accuracy]))
+    found = track_sigma(GPS._replace(name=track), FlightData("", signals=[accuracy]))
     if sigma is None:
         assert found is None
     else:
@@ -96,7 +96,7 @@ def test_a_track_has_the_accuracy_of_its_own_source(
 def test_the_fused_solution_has_a_sigma_per_axis() -> None:
     signals = [Signal("fused-sigma", axis, T, np.full(5, value)) for axis, value in
                (("north", 1.0), ("east", 3.0))]  # fmt: skip
-    found = track_sigma(replace(GPS, name="fused"), FlightData("", signals=signals))
+    found = track_sigma(GPS._replace(name="fused"), FlightData("", signals=signals))
     assert found is not None
     assert (found[0][0], found[1][0]) == (1.0, 3.0)
 

@@ -7,9 +7,7 @@ from pymavlink import mavutil
 from analysis.report.curves.recording import FlightData, Signal, Span
 from analysis.report.curves.vehicle_phase import (
     ARDUPILOT,
-    ARMED,
     CLASSES,
-    FLYING,
     MODES,
     PX4,
     armed_windows,
@@ -17,7 +15,7 @@ from analysis.report.curves.vehicle_phase import (
     flying_windows,
     mode_name,
 )
-from analysis.report.flight_checks import flight_checks, scope_of
+from analysis.report.flight_checks import flight_checks
 from analysis.report.judging.check_limits import Thresholds
 
 
@@ -87,11 +85,6 @@ def test_a_sub_has_no_lifting_motors_and_no_fix() -> None:
     for name in ("motor balance", "motors at their limit", "GPS fix", "ground impact"):
         assert found[name].verdict == "not judged"
         assert found[name].evidence == "does not hold for a sub"
-
-
-def test_every_check_has_a_scope() -> None:
-    for check in flight_checks(flight(""), Thresholds()):
-        assert scope_of(check.name).phase in (ARMED, FLYING, "log", "before arming")
 
 
 def test_a_vehicle_that_has_tipped_over_no_longer_flies() -> None:

@@ -2,7 +2,15 @@ import numpy as np
 import pytest
 
 from analysis.report.curves.derived_curves import add_derived_curves
-from analysis.report.curves.recording import Span
+from analysis.report.curves.recording import (
+    UNGRADED,
+    Event,
+    FlightData,
+    GroundTrack,
+    Message,
+    Signal,
+    Span,
+)
 from analysis.report.flight_verdict import assess_flight
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.vehicle_record import vehicle_outcome
@@ -98,3 +106,40 @@ def test_commands_of_a_ground_station_tell_a_failsafe_from_a_command() -> None:
         remote["component"] = component  # that of a simulator has sticks only
         found = vehicle_outcome(add_derived_curves(recording_of_tlog(columns)))
         assert found.outcome == outcome
+
+
+def loiter(sticks: list[Signal]) -> FlightData:
+    """A copter in the air that is moved by 60 m in LOITER from 20 to 30 s."""
+    t_s = np.arange(0.0, 60.0, 0.1)
+    height_m = np.interp(t_s, [0, 2, 10, 50, 58], [0, 0, 10, 10, 0])
+    north_m = np.interp(t_s, [20, 30], [0, 60])
+    track = GroundTrack("estimate", t_s, 47.0 + north_m / 111_195, np.full(600, 8.0), height_m)
+    signals = [Signal("height", "estimate", t_s, height_m), *sticks]
+    spans = [Span("armed", 1.0, 59.0, "armed", "mode"), Span("mode", 0.0, 60.0, "LOITER", "mode")]
+    copter = Message(t_s[:1], {"type": np.array([2])})
+    return FlightData(
+        "x", "ardupilot", duration_s=60.0, signals=signals, spans=spans, tracks=[track],
+        messages={"HEARTBEAT": copter},
+    )  # fmt: skip
+
+
+def channel(moved_us: float) -> list[Signal]:
+    t_s = np.arange(0.0, 60.0, 0.1)
+    pushed = (t_s > 19.0) & (t_s < 29.0)
+    return [Signal("rc", "channel 2", t_s, 1500.0 + moved_us * pushed)]
+
+
+@pytest.mark.parametrize(
+    ("sticks", "degraded"), [(channel(200.0), False), ([], False), (channel(0.0), True)]
+)
+def test_a_pilot_may_move_a_copter_in_loiter(sticks: list[Signal], degraded: bool) -> None:
+    found = vehicle_outcome(add_derived_curves(loiter(sticks)))
+    assert (found.outcome == "degraded") == degraded
+
+
+def test_information_is_no_reason_for_a_failsafe() -> None:
+    flight = loiter(channel(200.0))
+    flight.events.append(Event(30.0, "text", "PrecLand: Failsafe Measures", UNGRADED))
+    assert vehicle_outcome(flight).failsafe == ""
+    flight.events.append(Event(31.0, "text", "Radio Failsafe", UNGRADED))
+    assert vehicle_outcome(flight).reason == "Radio Failsafe"

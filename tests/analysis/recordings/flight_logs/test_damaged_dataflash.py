@@ -132,3 +132,14 @@ def test_an_old_log_keeps_its_milliseconds(tmp_path: Path) -> None:
     path.write_bytes(data)
     times = read_dataflash(path).topics["ATT", 0]["TimeUS"]
     assert times[[0, -1]].tolist() == [60_000_000, 69_900_000]
+
+
+@pytest.mark.parametrize("at", [4, 10, 11, 12, 14])  # length, and characters of the columns
+def test_a_wrong_byte_in_a_format_loses_no_message(tmp_path: Path, at: int) -> None:
+    path, data = tmp_path / "a.bin", bytearray(log())
+    whole = counts(path, bytes(data))
+    begin = data.index(b"VIBE") - 5
+    for wrong in (data[begin + at] ^ 1, ord("h"), ord("I"), ord("d"), ord("B")):
+        changed = data.copy()
+        changed[begin + at] = wrong
+        assert counts(path, bytes(changed)) == whole, (at, wrong)

@@ -1,0 +1,75 @@
+"""The contents of an autopilot's own log, a ULog or a dataflash log."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from numpy.typing import NDArray
+
+from analysis.recordings.flight_logs.log_time import RowTimes
+
+Topic = dict[str, NDArray[Any]]
+LoggedTexts = list[tuple[int, int, str]]  # t_us, severity as in MAVLink, text
+CORRUPTED = "parts of the file are corrupted and were skipped"
+
+
+@dataclass(frozen=True, slots=True)
+class AutopilotLog:
+    """Contents of a ULog or a dataflash log; what follows `cut` only a ULog has apart from topics.
+
+    Attributes
+    ----------
+    autopilot : str
+        "px4" or "ardupilot".
+    topics : dict
+        Columns by message name and instance (from 0), with the time in us as `stamp`.
+    start_us, end_us : int
+        First and last time.
+    times : RowTimes
+        What was found out about the stamps.
+    corrupted : bool
+        Whether bytes or messages with an impossible time were skipped.
+    cut : bool
+        Whether the file ends within a message.
+    messages : list of (t_us, severity, text)
+        Texts of the autopilot; severity as in MAVLink, 0 (worst) to 7.
+    parameters, defaults : dict
+        Initial parameters by name, and their default values if the log has them.
+    changes : list of (t_us, name, value)
+        Parameters changed in flight.
+    info : dict
+        The file's information messages (version, hardware).
+    dropouts : list of (t_us, duration_s)
+    printed : dict
+        Console output, processes and performance counters by title.
+    """
+
+    autopilot: str
+    topics: Mapping[tuple[str, int], Topic]
+    start_us: int
+    end_us: int
+    times: RowTimes
+    corrupted: bool
+    cut: bool
+    messages: LoggedTexts = field(default_factory=list)
+    parameters: dict[str, float] = field(default_factory=dict)
+    defaults: dict[str, float] = field(default_factory=dict)
+    changes: list[tuple[int, str, float]] = field(default_factory=list)
+    info: dict[str, Any] = field(default_factory=dict)
+    dropouts: list[tuple[int, float]] = field(default_factory=list)
+    printed: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def stamp(self) -> str:
+        """Name of the column with the time."""
+        return "timestamp" if self.autopilot == "px4" else "TimeUS"
+
+    def notes(self) -> list[str]:
+        """Notes for readers of a report on what was found out about the log."""
+        found = self.times.notes()
+        if self.dropouts:
+            total_s = sum(duration_s for _, duration_s in self.dropouts)
+            found.append(f"{len(self.dropouts)} dropouts in the log, {total_s:.2f} s in all")
+        if self.cut:
+            found.append("the file ends within a message: the log is truncated")
+        return found + ([CORRUPTED] if self.corrupted else [])
