@@ -72,29 +72,18 @@ class GraphStart:
 
     def priors(self) -> list[Any]:
         """The prior factors of the first node."""
-        gaussian = gtsam.noiseModel.Gaussian.Covariance
-        node, epoch = self.node, self.node.epoch
+        node, gaussian = self.node, gtsam.noiseModel.Gaussian.Covariance
+        kinds: tuple[tuple[Any, str, Any, Vector], ...] = (
+            (gtsam.PriorFactorPose3, "x", node.pose, self.pose_p),
+            (gtsam.PriorFactorPoint3, "v", node.velocity, self.velocity_p),
+            (gtsam.PriorFactorConstantBias, "b", node.bias, self.bias_p),
+            (gtsam.PriorFactorVector, "c", NO_CLOCK, np.diag(self.clock_sigma**2)),
+        )
         return [
-            gtsam.PriorFactorPose3(
-                variable_key("x", epoch),
-                node.pose,
-                gaussian(self.pose_p + MIN_VARIANCE * np.eye(6)),
-            ),
-            gtsam.PriorFactorPoint3(
-                variable_key("v", epoch),
-                node.velocity,
-                gaussian(self.velocity_p + MIN_VARIANCE * np.eye(3)),
-            ),
-            gtsam.PriorFactorConstantBias(
-                variable_key("b", epoch),
-                node.bias,
-                gaussian(self.bias_p + MIN_VARIANCE * np.eye(6)),
-            ),
-            gtsam.PriorFactorVector(
-                variable_key("c", epoch),
-                NO_CLOCK,
-                gtsam.noiseModel.Diagonal.Sigmas(self.clock_sigma),
-            ),
+            kind(
+                variable_key(letter, node.epoch), value, gaussian(p + MIN_VARIANCE * np.eye(len(p)))
+            )
+            for kind, letter, value, p in kinds
         ]
 
 
