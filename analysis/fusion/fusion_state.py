@@ -48,8 +48,7 @@ class FusionState:
     `imu` and `pending` are runs and samples for the next epoch, `noise` the noise learned in
     flight. `excluded` and `isolated` were left out of the last epoch. `attitude_lost`: the IMU was
     missing since the attitude was known; `imu_suspect_us`: since when the IMU has been suspicious.
-    `slow_key` holds satellites and time of the slow covariance; `notes` are for the next result's
-    reason.
+    `notes` are for the next result's reason.
     """
 
     imu: deque[ImuRun] = field(default_factory=deque)
@@ -62,7 +61,6 @@ class FusionState:
     isolated: frozenset[str] = frozenset()
     attitude_lost: bool = False
     imu_suspect_us: int | None = None
-    slow_key: tuple[object, ...] = ()
     notes: list[str] = field(default_factory=list)
     last: FusedState | None = None
 

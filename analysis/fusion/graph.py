@@ -1,6 +1,5 @@
 """The factor graph between two restarts: a chain of epochs, their factors, the newest estimate."""
 
-import math
 from bisect import bisect_left, insort
 from dataclasses import dataclass, field
 from typing import Any
@@ -9,7 +8,6 @@ import gtsam
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.filter.process_noise import ProcessNoise
 from analysis.fusion.factors.imu_factors import (
     FREE_RATE_RPS,
     imu_params,
@@ -26,7 +24,6 @@ from analysis.fusion.window import FactorWindow, variable_key
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
 
-SAME_GRAVITY_M = 100.0  # gravity rotates by 2e-5 rad over it
 SAME_EPOCH_US = 1000  # epochs closer than this are one: far below any epoch interval
 RANGES = "ranges"
 Attitude = tuple[Any, Vector]  # rotation body to local, covariance (3, 3) in body axes
@@ -73,9 +70,6 @@ class Graph:
         self._free: list[int] = []  # numbers of marginalised epochs, for reuse
         self._late_imu: dict[int, list[tuple[int, Vector]]] = {}
         self._robust = config.robust
-        self._place_m = [0.0, 0.0, 0.0]
-        self._noise: ProcessNoise | None = None  # of `_params`
-        self._params: Any = None
         self._insert(self.node)
         self.attach("prior", 0, *beginning.priors())
 
@@ -296,13 +290,8 @@ class Graph:
     def _motion(self, edge: Edge, start: Node, t_us: int) -> Any:
         """The preintegrated IMU of an edge, or the motion model in its place."""
         if self.uses_imu(edge):
-            place_m = start.pose.translation().tolist()
-            # Preintegration takes gravity as constant; recompute it after a long distance.
-            far = math.dist(place_m, self._place_m) > SAME_GRAVITY_M
-            if far or edge.noise is not self._noise:
-                self._place_m, self._noise = place_m, edge.noise
-                self._params = imu_params(self.frame, np.array(place_m), edge.noise)
-            return preintegrate_imu(edge.part.samples, start.bias, self._params)
+            params = imu_params(self.frame, start.pose.translation(), edge.noise)
+            return preintegrate_imu(edge.part.samples, start.bias, params)
         dt_s = (t_us - start.t_us) * 1e-6
         return motion_model(dt_s, start.bias, self.frame, edge.noise, edge.rate_sigma_rps)
 

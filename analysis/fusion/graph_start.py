@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import gtsam
@@ -26,7 +25,7 @@ from analysis.detection.filter.inertial import (
     V,
 )
 from analysis.detection.values import Value
-from analysis.fusion.factors.unary_factors import MAX_EPOCHS, NO_CLOCK
+from analysis.fusion.factors.unary_factors import NO_CLOCK
 from analysis.fusion.local_frame import LocalFrame, frame_at
 from analysis.fusion.window import variable_key
 from analysis.samples.sample import Vector
@@ -34,7 +33,6 @@ from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 ClockState = tuple[float, float]  # clock in m, drift in m/s
-ZERO_VELOCITY = np.zeros(3)
 MIN_VARIANCE = 1e-12  # keeps a covariance positive definite
 FIXED_ATTITUDE_RAD = 0.1  # chosen: an unknown attitude must not drift while nothing observes it
 UNCERTAIN_POSITION_M = 20.0  # above this sigma the first epoch's ranges are attached and QR is used
@@ -74,53 +72,27 @@ class GraphStart:
 
     def priors(self) -> list[Any]:
         """The prior factors of the first node."""
-        gaussian = gtsam.noiseModel.Gaussian.Covariance
-        node, epoch = self.node, self.node.epoch
+        node, gaussian = self.node, gtsam.noiseModel.Gaussian.Covariance
+        kinds: tuple[tuple[Any, str, Any, Vector], ...] = (
+            (gtsam.PriorFactorPose3, "x", node.pose, self.pose_p),
+            (gtsam.PriorFactorPoint3, "v", node.velocity, self.velocity_p),
+            (gtsam.PriorFactorConstantBias, "b", node.bias, self.bias_p),
+            (gtsam.PriorFactorVector, "c", NO_CLOCK, np.diag(self.clock_sigma**2)),
+        )
         return [
-            gtsam.PriorFactorPose3(
-                variable_key("x", epoch),
-                node.pose,
-                gaussian(self.pose_p + MIN_VARIANCE * np.eye(6)),
-            ),
-            gtsam.PriorFactorPoint3(
-                variable_key("v", epoch),
-                node.velocity,
-                gaussian(self.velocity_p + MIN_VARIANCE * np.eye(3)),
-            ),
-            gtsam.PriorFactorConstantBias(
-                variable_key("b", epoch),
-                node.bias,
-                gaussian(self.bias_p + MIN_VARIANCE * np.eye(6)),
-            ),
-            gtsam.PriorFactorVector(
-                variable_key("c", epoch),
-                NO_CLOCK,
-                gtsam.noiseModel.Diagonal.Sigmas(self.clock_sigma),
-            ),
+            kind(
+                variable_key(letter, node.epoch), value, gaussian(p + MIN_VARIANCE * np.eye(len(p)))
+            )
+            for kind, letter, value, p in kinds
         ]
 
 
-@lru_cache(maxsize=MAX_EPOCHS)
-def _at_rest(epoch: int) -> Any:
-    """The variables of an epoch at zero; read-only."""
-    values = gtsam.Values()
-    values.insert(variable_key("x", epoch), gtsam.Pose3())
-    values.insert(variable_key("v", epoch), ZERO_VELOCITY)
-    values.insert(variable_key("b", epoch), gtsam.imuBias.ConstantBias())
-    values.insert(variable_key("c", epoch), NO_CLOCK)
-    return values
-
-
 def first_guess(node: Node) -> Any:
-    """A node as GTSAM's values; its clock is zero, the graph's reference.
-
-    By a step from zero: the bindings try forty overloads to insert a bias, which takes 70 us.
-    """
-    step, epoch = gtsam.VectorValues(), node.epoch
-    step.insert(variable_key("x", epoch), gtsam.Pose3.Logmap(node.pose))
-    step.insert(variable_key("v", epoch), node.velocity)
-    step.insert(variable_key("b", epoch), node.bias.vector())
-    return _at_rest(epoch).retract(step)
+    """A node as GTSAM's values; its clock is zero, the graph's reference."""
+    values = gtsam.Values()
+    for letter, value in zip("xvbc", (node.pose, node.velocity, node.bias, NO_CLOCK), strict=True):
+        values.insert(variable_key(letter, node.epoch), value)
+    return values
 
 
 def start_from_filter(motion: MotionEstimate, correlation: float) -> GraphStart:

@@ -19,7 +19,6 @@ PRIOR_S = 0.3  # age of the configured rate noise, up to five times too large: b
 MIN_SAMPLES = 11  # 9 second differences
 GYRO_FLOOR_RPS, ACCEL_FLOOR_MPS2 = 1.0e-4, 2.0e-3  # per root hertz: benchmarks/fusion.py
 NOISE_RISE = 2.0  # times the variance: a step to be followed at once, not averaged
-CHANGE_FACTOR = 1.05  # smaller changes are ignored: each new density recomputes parameters
 VARIANCE_RATIO_LIMITS = (0.01, 25.0)  # learned over configured: 0.1 to 5 times the sigma
 MAX_SQUARE = 25.0  # limit of a squared normalised residual: 5 sigma
 SLOW_PRIOR = 4.0  # the configured share counts as so many satellites
@@ -30,13 +29,12 @@ AGE, RATE, SLOW = 0, 1, 2
 class LearnedNoise:
     """State, changed in place: `imu` (3,), variances per hertz of the white noise of gyros and
     accelerometers and their age in s; `table` (n, 3) by satellite: age, mean square of the rate
-    residual, mean of the range residual; the IMU noise returned last."""
+    residual, mean of the range residual."""
 
     imu: Vector = field(default_factory=lambda: np.zeros(3))
     satellites: tuple[str, ...] = ()
     table: Vector = field(default_factory=lambda: np.empty((0, 3)))
     t_us: int = 0
-    imu_noise: ProcessNoise | None = None
 
     def add_imu(self, samples: Vector) -> None:
         """Add samples (k, 7) of a trusted IMU: step in s, rates, specific force."""
@@ -62,13 +60,7 @@ class LearnedNoise:
             return configured
         gyro = math.sqrt(gyro2 + GYRO_FLOOR_RPS**2)
         accel = math.sqrt(accel2 + ACCEL_FLOOR_MPS2**2)
-        known = self.imu_noise
-        if known is None or not (
-            1.0 / CHANGE_FACTOR < gyro / known.gyro_rps < CHANGE_FACTOR
-            and 1.0 / CHANGE_FACTOR < accel / known.accel_mps2 < CHANGE_FACTOR
-        ):
-            known = self.imu_noise = replace(configured, gyro_rps=gyro, accel_mps2=accel)
-        return known
+        return replace(configured, gyro_rps=gyro, accel_mps2=accel)
 
     def add_ranges(
         self, t_us: int, satellites: tuple[str, ...], weights: Vector, normalised: Vector

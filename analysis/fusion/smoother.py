@@ -42,7 +42,6 @@ from analysis.samples.sample import Epoch, ImuSample, Sample
 GOOD_ATTITUDE_RAD = 0.1  # with a smaller sigma the attitude needs no help from the detector
 IMU_SUSPECT_SHARE = 0.5  # of the threshold: an isolated IMU's factors are removed from here on
 NOISE_HYPOTHESES = ("none", "satellites")  # under which residuals are noise
-SLOW_UPDATE_US = 2_000_000  # satellites move by less than 0.02 degrees meanwhile
 CLOCK_JUMP_M = 1e5  # sigma of a jump that the detector reported: leaves the clock to the ranges
 SOLVER_ERRORS = (RuntimeError, ValueError, IndexError)  # raised by GTSAM and numpy
 
@@ -295,15 +294,10 @@ class Fusion:
         graph.attach_ranges(graph.node.epoch, ranges, weights)
         given = zip(ranges.satellites, weights.tolist(), strict=True)
         used = {name: weight for name, weight in given if weight > 0.0}
-        # The lasting error depends on the satellites, and slowly on their motion.
-        sky = (*used, decision.t_us // SLOW_UPDATE_US)
-        if sky != state.slow_key:
-            share = (
-                noise.lasting_share(config.slow, ranges.unknowns) if config.learn else config.slow
-            )
-            slow = ranges.slow_covariance(weights, share)
-            if slow is not None:
-                graph.slow_m2, state.slow_key = slow, sky
+        share = noise.lasting_share(config.slow, ranges.unknowns) if config.learn else config.slow
+        slow = ranges.slow_covariance(weights, share)
+        if slow is not None:
+            graph.slow_m2 = slow
         return used
 
     def _attach_late(
