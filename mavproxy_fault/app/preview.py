@@ -61,7 +61,7 @@ def draw_preview(schedule: Schedule, path: Path, columns: int = COLUMNS) -> None
     Raises
     ------
     ConfigError
-        If matplotlib is not installed, or the schedule is empty.
+        If matplotlib is not installed, the schedule is empty, or the file cannot be written.
     """
     entries = schedule.faults
     if not entries:
@@ -74,7 +74,11 @@ def draw_preview(schedule: Schedule, path: Path, columns: int = COLUMNS) -> None
     )
     for i, entry in enumerate(entries):
         _axes(figure.add_subplot(rows, columns, i + 1), entry, schedule.seed)
-    figure.savefig(path, dpi=80)
+    try:
+        figure.savefig(path, dpi=80)
+    except (OSError, ValueError) as error:  # no folder, or no format of that suffix
+        why = getattr(error, "strerror", error)
+        raise ConfigError(f"{path}: cannot be drawn ({why}); give a PNG, SVG or PDF") from None
 
 
 def _axes(axes: Any, entry: Entry, seed: int) -> None:

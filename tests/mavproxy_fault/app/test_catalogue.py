@@ -100,6 +100,14 @@ def test_a_preset_of_more_satellites_than_one_message_holds_is_drawn() -> None:
     assert curves[0].lost
 
 
+@pytest.mark.parametrize("name", ["plot.txt", "missing/plot.png"])
+def test_a_plot_that_cannot_be_written_is_refused(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["faults", "plot", "gyro-drift", "--out", str(tmp_path / name)]) == 2
+    assert "give a PNG, SVG or PDF" in capsys.readouterr().err
+
+
 def test_the_schema_accepts_and_refuses_the_same_as_the_reader() -> None:
     checker = jsonschema.Draft202012Validator(json.loads(json.dumps(schedule_schema())))
     checker.check_schema(checker.schema)
