@@ -95,22 +95,11 @@ def solve_receiver_fix(
     x = np.concatenate([_point_below_satellites(orbits, tow_s), np.zeros(len(systems))])
     if last is not None and near:
         x = np.concatenate([last.r_ecef_m, last.clock_m])
+    height = _known_height(last) if lacking == 1 else None
     for _ in range(ITERATIONS_MAX):
         own_s = tow_s - float(x[3]) / SPEED_OF_LIGHT_MPS
-        geometry = signal_geometry(
-            orbits.table, own_s, x, STILL, atmosphere.coefficients, atmosphere.troposphere
-        )
-        model_m = geometry[RANGE] - SPEED_OF_LIGHT_MPS * geometry[SAT_CLOCK] + geometry[DELAY]
-        # Moving towards the satellite shortens the range.
-        design = np.hstack([-geometry[LINE_OF_SIGHT:].T, clocks])
-        residual = pseudorange_m - model_m - clocks @ x[3:]
-        # Errors grow towards the horizon roughly with the inverse sine of the elevation.
-        root = np.maximum(np.sin(geometry[SAT_ELEVATION]), SINE_MIN) / ZENITH_SIGMA_M
-        if lacking == 1:  # the assumed height is a measurement
-            lat, lon, height_m = geodetic_position(x[:3])
-            known_m, sigma_m = _known_height(last)
-            design = np.vstack([design, np.append(-ned_axes(lat, lon)[2], np.zeros(len(systems)))])
-            residual, root = np.append(residual, known_m - height_m), np.append(root, 1.0 / sigma_m)
+        geometry = signal_geometry(orbits.table, own_s, x, STILL, *atmosphere)
+        design, residual, root = _linearised(geometry, pseudorange_m, clocks, x, height)
         # The first iterations are unweighted, as elevations need a position.
         step = _least_squares(design, residual, root if near else np.ones(len(root)))
         if step is None:
@@ -128,24 +117,43 @@ def solve_receiver_fix(
     sigma = np.sqrt(np.diag(covariance))
     if math.hypot(sigma[0], sigma[1]) > (EPH_MAX_2D_M if lacking == 1 else EPH_MAX_M):
         return _no_fix(count, last)
-    # With an assumed height the vertical velocity is assumed zero.
+    v_ned_mps = axes @ _velocity(geometry, doppler_mps, design, root)
+    kind = 2 if lacking == 1 else 3
+    return ReceiverFix(kind, count, x[:3], lat, lon, height_m, v_ned_mps, x[3:], sigma)
+
+
+def _linearised(
+    geometry: Vector,
+    pseudorange_m: Vector,
+    clocks: Vector,
+    x: Vector,
+    height: tuple[float, float] | None,
+) -> tuple[Vector, Vector, Vector]:
+    """Design matrix, residuals and square roots of the weights of the ranges at x, and of an
+    assumed height with its sigma."""
+    model_m = geometry[RANGE] - SPEED_OF_LIGHT_MPS * geometry[SAT_CLOCK] + geometry[DELAY]
+    # Moving towards the satellite shortens the range.
+    design = np.hstack([-geometry[LINE_OF_SIGHT:].T, clocks])
+    residual = pseudorange_m - model_m - clocks @ x[3:]
+    # Errors grow towards the horizon roughly with the inverse sine of the elevation.
+    root = np.maximum(np.sin(geometry[SAT_ELEVATION]), SINE_MIN) / ZENITH_SIGMA_M
+    if height is None:
+        return design, residual, root
+    lat, lon, height_m = geodetic_position(x[:3])
+    up = np.append(-ned_axes(lat, lon)[2], np.zeros(clocks.shape[1]))
+    residual = np.append(residual, height[0] - height_m)
+    return np.vstack([design, up]), residual, np.append(root, 1.0 / height[1])
+
+
+def _velocity(geometry: Vector, doppler_mps: Vector, design: Vector, root: Vector) -> Vector:
+    """The velocity (3,) by the range rates; with an assumed height it is horizontal."""
+    count = len(doppler_mps)
     design, residual = np.column_stack([design[:, :3], np.zeros(len(root))]), np.zeros(len(root))
     design[:count, 3] = 1.0
     clock_rate_mps = SPEED_OF_LIGHT_MPS * geometry[SAT_CLOCK_RATE]
     residual[:count] = doppler_mps - geometry[RANGE_RATE] + clock_rate_mps
     motion = _least_squares(design, residual, root)
-    v_ecef_mps = np.zeros(3) if motion is None else motion[:3]
-    return ReceiverFix(
-        2 if lacking == 1 else 3,
-        count,
-        x[:3],
-        lat,
-        lon,
-        height_m,
-        axes @ v_ecef_mps,
-        x[3:],
-        sigma,
-    )
+    return np.zeros(3) if motion is None else motion[:3]
 
 
 def _least_squares(design: Vector, residual: Vector, root: Vector) -> Vector | None:
