@@ -15,7 +15,7 @@ MAX_DATAGRAM = 65_536  # a shorter buffer would truncate silently
 V4, V6 = struct.Struct("=H2s4s8x"), struct.Struct("=H2s4s16sI")  # sockaddr_in, sockaddr_in6
 
 
-class Datagrams:
+class DatagramSocket:
     """One non-blocking socket."""
 
     def __init__(self, sock: socket.socket) -> None:

@@ -4,7 +4,7 @@ import socket
 import struct
 import time
 
-from mavproxy_fault.links.datagrams import Datagrams
+from mavproxy_fault.links.datagrams import DatagramSocket
 from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers, host_port
 from mavproxy_fault.links.peers import Peers
 
@@ -38,7 +38,7 @@ class _UdpSocket:
     def __init__(self, host: str, port: int, *, listen: bool) -> None:
         self.sock = _open(host, port, listen=listen)
         self.counters = LinkCounters()
-        self._datagrams = Datagrams(self.sock)
+        self._datagrams = DatagramSocket(self.sock)
 
     @property
     def lost_in_kernel(self) -> int:
