@@ -194,7 +194,7 @@ def open_bus(
     if run != ANY_RUN:
         check_run_name(run)
     if url not in (None, "auto") and "/" not in url:
-        raise ConfigError(f"--zenoh: {url} is not an address; give tcp/HOST:PORT")
+        raise ConfigError(f"--zenoh: {url!r} is not an address; give tcp/HOST:PORT")
     address = choose_free_port(DEFAULT_URL if url is None or url == "auto" else url)
     config_file = config_file or os.environ.get("ZENOH_CONFIG", "")
     if config_file:

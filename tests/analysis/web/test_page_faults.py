@@ -152,7 +152,7 @@ def test_a_change_is_undone_and_a_fault_that_is_over_is_armed_again(page: Any, l
     page.click("#undo")
     page.wait_for_selector("#faults li", state="detached")
     assert loop.engine.ids() == []
-    assert page.is_disabled("#undo")
+    page.wait_for_selector("#undo:disabled")
     assert page.complaints == []
 
 
