@@ -28,8 +28,9 @@ PACKAGES = ("mavproxy_fault", "simvehicle", "analysis")
 IMPORTED = re.compile(
     rf"^(?:from|import) ((?:{'|'.join(PACKAGES)})[\w.]*)(?: import (\([^)]*|.*))?", re.MULTILINE
 )
-# A docstring, a comment or nothing, on lines of its own
-SILENT = re.compile(rb'^[ \t]*(?:#.*|"""(?s:.*?)""")?\n', re.MULTILINE)
+# A docstring, a comment or nothing, on lines of its own. A docstring begins with a capital or a
+# name in backquotes, which never follow the end of a string.
+SILENT = re.compile(rb'^[ \t]*(?:#.*|"""(?=[A-Z`])(?s:.*?)""")?\n', re.MULTILINE)
 STALE_S = 7 * 86_400.0  # unused for a week: an update's, or an edit's
 
 

@@ -1,5 +1,6 @@
 """The folder of a module's machine code follows the sources that went into it."""
 
+import ast
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,22 @@ def test_an_edit_renews_the_code_of_what_imports_it_and_of_nothing_else(
 def test_only_an_edit_of_the_code_renews_it(edited: str, renewed: bool) -> None:
     before = kernels.code_digest([b"def half(x):\n    return x / 2\n"])
     assert (kernels.code_digest([edited.encode()]) != before) is renewed
+
+
+def test_code_between_two_strings_is_not_silent():
+    source = 'TEXT = f"""x\n"""\nK = %d\nMORE = """\n"""\n'
+    one, two = (kernels.code_digest([(source % k).encode()]) for k in (1, 2))
+    assert one != two
+
+
+def test_the_strings_that_are_silent_in_our_sources_are_docstrings():
+    for package in kernels.PACKAGES:
+        for path in (kernels.ROOT / package).rglob("*.py"):
+            source = path.read_bytes()
+            found = [one for one in kernels.SILENT.finditer(source) if b'"""' in one.group()]
+            alone = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Expr)]
+            lines = {source[: one.start()].count(b"\n") + 1 for one in found}
+            assert lines <= {node.lineno for node in alone}, path
 
 
 @pytest.mark.parametrize("home", [None, "/", "{file}"])
