@@ -49,7 +49,7 @@ class HomeFrame:
         """Position (3,) in the home frame [m]."""
         lat, lon = math.radians(lat_deg), math.radians(lon_deg)
         r = ecef_from_geodetic(lat, lon, alt_msl_m + self.geoid_m)
-        return np.asarray(self.rot_en.T @ (r - self.r_ecef_m))
+        return np.asarray((self.rot_en * (r - self.r_ecef_m)[:, None]).sum(axis=0))
 
 
 @compiled

@@ -18,6 +18,7 @@ from simvehicle.guidance.route import GuidanceTrack, HoldTrack, PathTrack, Setpo
 from simvehicle.sensors.readings import Triple
 from simvehicle.vehicles.body import Controls, Truth
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
+from simvehicle.vehicles.solution import round_solution
 
 _TRACK_GAIN = 1.0  # 1/s, cross-track error to closing speed
 _SPEED_GAIN = 2.5  # 1/s, velocity error to acceleration
@@ -105,7 +106,8 @@ class MultirotorController:
         self._integral = [0.0, 0.0, 0.0]
         moments = vehicle.parameters.inertia_kgm2
         self._body = np.array([vehicle.parameters.mass_kg, moments.jx, moments.jy, moments.jz])
-        self._allocation = np.ascontiguousarray(np.linalg.pinv(vehicle.thrust_effects))
+        allocation = round_solution(np.linalg.pinv(vehicle.thrust_effects))
+        self._allocation = np.ascontiguousarray(allocation)
 
     def circle(
         self, north_m: float, east_m: float, height_m: float, speed_mps: float

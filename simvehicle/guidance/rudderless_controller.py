@@ -16,6 +16,7 @@ from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from simvehicle.guidance.fixedwing_controller import FixedWingController, WingMotion
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing.trim import LATERAL, TrimPoint, linearise_trim
+from simvehicle.vehicles.solution import round_solution
 
 _AILERON = 1  # column of the input matrix
 _ROLL = 1  # index of the roll angle in the lateral states v, roll, p, r
@@ -53,7 +54,7 @@ class RudderlessController(FixedWingController):
         gains, turn, aileron = self._regulators[speed]
         lateral = np.array([motion.v, motion.roll, motion.p, motion.r])
         scale = (speed / motion.airspeed) ** 2  # of the dynamic pressure, relative to the trim
-        return scale * float(aileron * bank - gains @ (lateral - turn * bank))
+        return scale * float(aileron * bank - (gains * (lateral - turn * bank)).sum())
 
     def _regulator(self, point: TrimPoint) -> _Regulator:
         vehicle = self.vehicle
@@ -71,7 +72,9 @@ class RudderlessController(FixedWingController):
         # In a steady turn v, p, r and the aileron follow from the roll angle.
         fixed = np.column_stack([np.delete(a, _ROLL, axis=1), b])
         *rest, aileron = np.linalg.solve(fixed, -a[:, _ROLL])
-        return _Regulator(gains, np.insert(np.array(rest), _ROLL, 1.0), float(aileron))
+        turn = np.insert(np.array(rest), _ROLL, 1.0)
+        gains, turn, aileron = map(round_solution, (gains, turn, aileron))
+        return _Regulator(gains, turn, float(aileron))
 
 
 def has_rudder(vehicle: FixedWing) -> bool:

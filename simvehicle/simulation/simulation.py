@@ -300,7 +300,7 @@ class Simulation:
         """Air density [kg/m^3] and gravity [m/s^2] at a state's position."""
         location = np.empty(LOCATION_SIZE)
         locate_state(x, np.zeros(3), self.home.packed, location)
-        return float(location[AIR + 2]), float(np.linalg.norm(location[LOCAL_GRAVITY:]))
+        return float(location[AIR + 2]), math.hypot(*location[LOCAL_GRAVITY:])
 
     def _controller(self) -> Controller:
         scenario, density = self.scenario, self.truth.density_kgpm3

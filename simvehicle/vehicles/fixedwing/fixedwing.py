@@ -84,4 +84,5 @@ class FixedWing(CompiledVehicle[FixedWingParameters]):
         q = quat_from_euler(point.roll_rad, point.pitch_rad, heading_rad)
         # Velocity through the air in body axes, plus the wind.
         relative = speed_mps * np.array([math.cos(point.alpha_rad), 0, math.sin(point.alpha_rad)])
-        return self.start(r_ned_m, relative + matrix_from_quat(q).T @ wind_ned_mps, q)
+        wind_mps = (matrix_from_quat(q) * np.asarray(wind_ned_mps)[:, None]).sum(axis=0)
+        return self.start(r_ned_m, relative + wind_mps, q)

@@ -14,6 +14,7 @@ from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, WingInputs, state_derivative
 from simvehicle.vehicles.rigidbody_kernel import E0, Inertia, P, State13, U, V, W
+from simvehicle.vehicles.solution import round_solution
 
 ROLL, PITCH, RATES = 6, 7, 9  # index, or start, in the 12 states
 LATERAL = [V, ROLL, RATES, RATES + 2]
@@ -110,8 +111,7 @@ def find_trim(
         jacobian = [(residual(z + d) - residual(z - d)) / (2.0 * H) for d in H * np.eye(6)]
         step = np.linalg.lstsq(np.array(jacobian).T, residual(z))[0]
         z -= np.clip(step, -MAX_STEP, MAX_STEP)
-    # The last digits depend on the processor's linear algebra; adding zero removes its sign.
-    point = point_at(np.round(z, 12) + 0.0)
+    point = point_at(round_solution(z))
     missed = np.max(np.abs(residual(z))) > 1e-6
     if missed or point.throttle > 1.0 or abs(point.alpha_rad) > MAX_ALPHA_RAD:
         raise ValueError(
