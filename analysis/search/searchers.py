@@ -193,7 +193,7 @@ class MixedSearch(Searcher):
     """
 
     STREAM = 6
-    DESIGN = 64
+    DESIGN = 64  # points, chosen
     RUNS, LAPS = 4, 8  # runs in the race, and its generations
     SIGMA, SMALL = 0.2, 0.1
     APART = 0.15  # RMS distance between the starting points

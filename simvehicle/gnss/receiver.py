@@ -92,9 +92,10 @@ def solve_receiver_fix(
     clocks = np.array([[letter == system for system in systems] for letter in letters], float)
     # The last solution is a start only if its clocks are those of the same systems.
     near = last is not None and last.fix_type >= 2 and len(last.clock_m) == len(systems)
-    x = np.concatenate([_point_below_satellites(orbits, tow_s), np.zeros(len(systems))])
     if last is not None and near:
         x = np.concatenate([last.r_ecef_m, last.clock_m])
+    else:
+        x = np.concatenate([_point_below_satellites(orbits, tow_s), np.zeros(len(systems))])
     height = _known_height(last) if lacking == 1 else None
     for _ in range(ITERATIONS_MAX):
         own_s = tow_s - float(x[3]) / SPEED_OF_LIGHT_MPS

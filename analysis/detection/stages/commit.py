@@ -158,7 +158,7 @@ def _update_trust(
     excluded = add_exclusions(remaining, faulty, t_us, t_us, ranges.whole_system)
     contradicting = trust.contradicting
     if faulty and ranges.hypothesis == "multiple-unknown":
-        contradicting += "".join({name[0] for name in faulty} - {*contradicting})
+        contradicting = "".join(sorted({*contradicting, *(name[0] for name in faulty)}))
     if not any(name[0] in contradicting for name in excluded):
         contradicting = ""
     return Trust(

@@ -1,4 +1,4 @@
-"""Two systems contradict each other, and no test tells which is wrong: one of them is followed.
+"""Two systems contradict each other, and no test shows which is wrong: one of them is followed.
 
 It is the one whose satellites alone put the receiver nearer to where it would be, had it moved on
 as in the seconds before. The position's sigma and levels cover the other system's position too.
@@ -18,7 +18,7 @@ from analysis.detection.stages.assess import Assessment
 from analysis.detection.stages.isolate import EpochVerdict
 from analysis.samples.sample import Vector
 
-LEAST_STEADY_US = 5_000_000  # of known motion, in each half of the history
+LEAST_STEADY_US = 5_000_000  # chosen: of known motion, in each half of the history
 
 
 def follow_one_system(

@@ -1,8 +1,8 @@
 """Make the timestamps of a tlog steady: those of the computer that wrote it.
 
 They run at another rate if a run is faster than real time, jump when the computer's clock is set,
-and may be missing. The times since boot in the messages tell such jumps from a restart of the
-vehicle and from a link that stalls, so that a silence of the link is one.
+and may be missing. The times since boot in the messages distinguish such jumps from a restart of
+the vehicle and from a link that stalls, so that a silence of the link is one.
 """
 
 from collections.abc import Mapping

@@ -54,7 +54,7 @@ class LevelCheck(NamedTuple):
 
     `limits` is their name in `Thresholds`, in which {} is the autopilot; they hold for `hold_s`,
     None: as the criteria say. The check holds in one `phase`, for some `classes` of vehicle (none:
-    all), and `on_bench` before arming too. `lanes` tells when which estimator or IMU was in use.
+    all), and `on_bench` before arming too. `lanes` gives when each estimator or IMU was in use.
     """
 
     name: str
