@@ -46,6 +46,9 @@ class Loop:
         self.commands: list[tuple[int, float]] = []  # that the vehicle was given, with param7
         self.xgyro = 0.0  # as the vehicle was sent it last
         self.steps_left = math.inf  # at nought the vehicle's time stands, however slow a page is
+        # Why nothing is recorded, and what is missing; published again and again as by a proxy, as
+        # the bus may lose a sample.
+        self.recording: tuple[str | None, int] = (None, 0)
         self._t_us = 1_000_000
         self._seq = 0
         self._stop, self._stopped = socket.socketpair()
@@ -66,6 +69,7 @@ class Loop:
             self.labels += labels
             figures_now = [link_statistics(self.core, number) for number in range(len(LINKS))]
             self.live.publish(figures_now, labels)
+            self.live.publish_recording(*self.recording)
             self.live.show(time.monotonic())
 
     def _step(self) -> None:

@@ -40,9 +40,9 @@ def test_autopilot_and_estimator_say_how_they_are(page: Any) -> None:
 
 def test_a_stopped_recording_is_shown_and_its_losses_stay_visible(page: Any, loop: Any) -> None:
     assert page.is_hidden("#recording")
-    loop.live.publish_recording("[Errno 28] No space left on device", 0)
+    loop.recording = "[Errno 28] No space left on device", 0
     page.wait_for_selector("#recording.gone:has-text('Recording has stopped: [Errno 28] No')")
-    loop.live.publish_recording(None, 17)
+    loop.recording = None, 17
     page.wait_for_selector("#recording.note:has-text('17 records are missing in the logs.')")
 
 
