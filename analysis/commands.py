@@ -118,7 +118,7 @@ def add_search(commands: Any) -> None:
     parser.add_argument("testfile", metavar="TESTFILE", help="test file with the ranges (YAML)")
     option = partial(add_option, parser)
     option("--budget N", "evaluations (default: the file's, or 2000)", type=int)
-    option("--method", "how to search (default: the file's)", choices=METHODS)
+    option("--method", "search method (default: the one in the file)", choices=METHODS)
     option("--seed N", "random seed (default: the file's)", type=int)
     violate = "search for flights that violate a requirement: a formula or a name"
     option("--violate REQUIREMENT", violate)

@@ -80,7 +80,7 @@ def build_parser(command: str = "") -> argparse.ArgumentParser:
     )
     top.add_argument(
         "--dialect", action="append", default=[], metavar="FILE",
-        help="MAVLink XML file with further messages, for every command; repeatable",
+        help="additional MAVLink dialect (XML file); every command takes it, repeatable",
     )  # fmt: skip
     top.add_argument("--version", action="version", version=f"mavproxy-fault {__version__}")
     top.add_argument(

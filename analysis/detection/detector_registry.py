@@ -17,7 +17,7 @@ class BlockDetector(msgspec.Struct, frozen=True):
 
     `channels` are the sensors that its results name. `sees` are channels, messages or targets
     (`baro`, `BATTERY_STATUS`, `PLANT.mass_kg`): a fault of one of them can be detected here.
-    `state` is the class of its state, whose defaults are those before the first sample.
+    `state` is the class of its state; its default values are the initial state.
     """
 
     channels: ClassVar[frozenset[str]] = frozenset()

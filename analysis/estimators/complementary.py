@@ -74,7 +74,7 @@ def predict(
 def correct_heading(
     x: Vector, field: Vector, declination_rad: float, dt_s: float, gains: Gains
 ) -> Vector:
-    """Correct the heading in x (7,) by one field sample (3,), toward the declination."""
+    """Correct the heading in x (7,) by one magnetic field sample (3,) and the declination."""
     error = heading_error(x[:BIAS], field, declination_rad)
     down = rotation_matrix(x[:BIAS])[2]
     # After a gap the step may reach the field's heading but not overshoot it.

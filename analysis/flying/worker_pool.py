@@ -158,7 +158,7 @@ class RayWorkerPool:
                     return number, _hung(self._limit_s)
 
     def close(self) -> None:
-        """Leave the cluster."""
+        """Disconnect from the Ray cluster."""
         for reference in self._running:
             self._ray.cancel(reference, force=True)
         if self._owns_cluster:

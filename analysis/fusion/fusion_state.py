@@ -65,11 +65,8 @@ class FusionState:
     last: FusedState | None = None
 
     def add_imu(self, run: ImuRun) -> None:
-        """Add IMU samples: those before the graph's newest epoch to the graph, the rest to the
-        next.
-
-        Beyond `PENDING_MAX` the oldest are dropped.
-        """
+        """Add IMU samples: those before the graph's newest epoch go into the graph, the rest wait
+        for the next epoch. If more than `PENDING_MAX` wait, the oldest are dropped."""
         if self.graph is not None and (run.t_us <= self.graph.node.t_us).any():
             late = run.t_us <= self.graph.node.t_us
             for t_us, row in zip(run.t_us[late].tolist(), run.values[late], strict=True):

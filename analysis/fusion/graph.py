@@ -173,7 +173,7 @@ class Graph:
             self._late_imu.setdefault(self._track[at][1], []).append((t_us, rates_force))
 
     def drop_imu_since(self, since_us: int) -> None:
-        """Remove the IMU's factors from a time on."""
+        """Remove the IMU's factors from the given time onward."""
         for t_us, epoch in self._track:
             edge = self._edge(epoch)
             if t_us > since_us and edge is not None and edge.trusted:

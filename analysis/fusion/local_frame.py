@@ -50,7 +50,7 @@ class LocalFrame:
 
     @cached_property
     def field_gauss(self) -> Vector:
-        """The magnetic field (3,) in gauss at the anchor on the day of the stamp (`date_of`)."""
+        """Magnetic field (3,), NED, in gauss, at the frame's origin on the day of the stamp."""
         lat, lon, height = geodetic_position(self.anchor_m)
         lat_deg, lon_deg = float(np.degrees(lat)), float(np.degrees(lon))
         day = date_of(self.stamp_us)

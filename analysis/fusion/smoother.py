@@ -48,7 +48,7 @@ SOLVER_ERRORS = (RuntimeError, ValueError, IndexError)  # raised by GTSAM and nu
 
 @dataclass(frozen=True)
 class Fusion:
-    """Smooths the measurements that the detector did not exclude; uses its noise and masks."""
+    """Smoother over the measurements that the detector did not exclude, with its noise."""
 
     config: FusionConfig = field(default_factory=FusionConfig)
     detector: DetectorConfig = field(default_factory=DetectorConfig)

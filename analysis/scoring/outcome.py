@@ -92,7 +92,7 @@ def fault_outcomes(
     windows : sequence of Window
         The monitor's alarms.
     active : collection of str
-        The channels with any result in this flight.
+        The channels with at least one test result in this flight.
     epoch_us : int
         Time between two epochs of the detector.
     witnesses : frozenset of str

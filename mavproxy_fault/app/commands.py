@@ -108,7 +108,7 @@ def add_bus(parser: argparse.ArgumentParser, what: str) -> None:
 
 def add_router(parser: argparse.ArgumentParser) -> None:
     """Add the options of a command that connects to a Zenoh router."""
-    help = "the proxy's router (default: auto, tcp/127.0.0.1:7447)"
+    help = "Zenoh router of the proxy (default: auto, which is tcp/127.0.0.1:7447)"
     _add_zenoh(parser, "--zenoh auto|URL", help)
 
 

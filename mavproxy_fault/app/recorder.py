@@ -38,7 +38,7 @@ APPENDED = (RECEIVED, RECEIVED_OTHER, INDEX, SENT, SENT_OTHER, LABELS, EDITS)
 
 
 class Recorder:
-    """The files of one session; `session` is the content of `session.json` but the time base.
+    """The files of one session; `session` is the content of `session.json` without the time base.
 
     While the disk is full or the folder missing, complete records are dropped and counted in
     `lost`, labels and edits are retained, and recording resumes as soon as it can. `failing` is

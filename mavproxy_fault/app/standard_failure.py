@@ -64,7 +64,7 @@ def mavsdk_failure_types() -> dict[str, Any]:
 
 
 def parse_failure(text: str) -> tuple[Any, Any, int]:
-    """Parse `UNIT:TYPE[:INSTANCE]` (instances from 1; 0: all) to unit, type and instance.
+    """Parse `UNIT:TYPE[:INSTANCE]` (instances count from 1, 0 is all) to unit, type and instance.
 
     Raises
     ------

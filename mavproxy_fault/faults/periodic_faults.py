@@ -1,4 +1,4 @@
-"""Periodic faults: a sine, an impulse train, one element after another."""
+"""Periodic faults: a sine, an impulse train, a bias that moves from element to element."""
 
 import math
 from typing import Any, ClassVar

@@ -132,7 +132,9 @@ def _announce(name: str) -> None:
 
 @cache
 def _announce_once() -> None:
-    LOG.warning("compiling kernels; they serve this process only, as no folder can be written to")
+    LOG.warning(
+        "compiling kernels; no cache folder can be written to, so the next start compiles again"
+    )
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """Content of an observation file's header records, at the file's start or in an event.
 
-A record holds from where it stands until another replaces it [1]_.
+A record applies from its position in the file until another replaces it [1]_.
 
 References
 ----------

@@ -57,7 +57,9 @@ class Overruns:
     def text(self) -> str:
         """The counts as one line of text."""
         worst_ms = self.worst_s * 1e3
-        return f"{self.late} of {self.steps} steps over 1 ms late, worst {worst_ms:.1f} ms"
+        return (
+            f"{self.late} of {self.steps} steps more than 1 ms late, the worst by {worst_ms:.1f} ms"
+        )
 
 
 class RealTimeLoop(LockstepLoop):

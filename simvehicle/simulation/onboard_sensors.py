@@ -107,6 +107,6 @@ def field_ned_gauss(
         return magnetic_field_gauss(lat_deg, lon_deg, height_m, time)
     except ValueError:
         raise ConfigError(
-            f"start.time = {time:%Y-%m-%d} has no world magnetic model; use 2010 to 2029, "
+            f"no world magnetic model covers start.time = {time:%Y-%m-%d}; use 2010 to 2029, "
             "or set sensors.mag.field_ned_gauss"
         ) from None

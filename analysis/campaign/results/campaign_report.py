@@ -122,7 +122,7 @@ def flatten_result(result: CellResult) -> dict[str, object]:
 
 
 def name_tests(campaign: CampaignFile, results: Sequence[CellResult]) -> list[str]:
-    """Return the names of the cells as tests, which a person can read."""
+    """Return a readable test name for each cell of the campaign."""
     units = magnitude_units(campaign)
     names = []
     for cell in (result.cell for result in results):

@@ -89,8 +89,8 @@ def normal_equations_over(
 
 @compiled
 def rate_equations(h: Vector, variance: Vector, v: Vector) -> NormalEquations:
-    """The normal equations of the Doppler rates v (n,) that are known; h (n, 20) is the geometry of
-    the ranges."""
+    """Normal equations of velocity and clock drift from the Doppler residuals v (n,), NaN where
+    there is none; h (n, 20) are the rows of the ranges."""
     count = 0
     a, known_variance, known = np.ones((v.shape[0], 4)), np.empty(v.shape[0]), np.empty(v.shape[0])
     for i in range(v.shape[0]):

@@ -86,8 +86,8 @@ def _shows_impact(last: LastFix | None, segment: ImuSegment) -> bool:
 def _receiver_smooths(
     latency: Latency, before: MotionEstimate, motion: MotionEstimate, measurement: FixMeasurement
 ) -> bool:
-    """Whether the vehicle accelerates so that a real receiver, which comes late and smooths its
-    velocity, contradicts an IMU."""
+    """Whether the acceleration is so high that a sound receiver, with its delayed and smoothed
+    velocity, disagrees with the IMU."""
     acceleration = mean_acceleration(before, motion, measurement.axes)
     return latency.variance > 0.0 and float(np.linalg.norm(acceleration)) > STEADY_MPS2
 

@@ -115,7 +115,7 @@ def _fix_test(p: Vector, v: Vector, h: Vector, variance: Vector, p_false_alarm: 
 
 
 def update_with_fix(motion: MotionEstimate, part: FixTest) -> MotionEstimate:
-    """The filter after a test's measurement."""
+    """Return the filter updated with the part of the fix that a test used."""
     x, p, *_ = measurement_update(
         motion.x, motion.p, normal_equations(part.h, part.variance, part.v)
     )

@@ -251,7 +251,7 @@ def _silent(state: VoteState) -> list[int]:
 
 
 def _is_off(difference: Vector, known: UsualValue, limits: Vector) -> bool:
-    """Whether a difference (n,) has changed; it is learned while it has not."""
+    """Whether a difference (n,) has left its usual value, which is learned as long as it stays."""
     change = difference - known.mean
     limit = np.maximum(limits, CHANGE_SIGMAS * np.sqrt(known.square))
     # Learning stops meanwhile, or the fault would become the usual difference.

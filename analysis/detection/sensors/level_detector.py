@@ -102,7 +102,7 @@ class LevelDetector(BlockDetector, frozen=True):
                 size, turned_rad = math.hypot(x, y, z), math.hypot(*state.rates) * mean_us * 1e-6
                 usable = math.isfinite(size) and not turned_rad > TURN_RAD
                 if usable and (change := state.size.change(t_us, size)):
-                    reason = f"the field's size is off by {abs(change):.3f} gauss"
+                    reason = f"the magnetic field strength is off by {abs(change):.3f} gauss"
                     found.append((row, pattern_alarm(t_us, "mag", reason)))
             elif accepts_source(state.source, source := float(block.values[row, FIX_SOURCE])):
                 # An autopilot's own report of the fix has another clock.

@@ -1,10 +1,10 @@
 """The decision on a receiver's fix without raw ranges, by tests of its position and velocity.
 
 Three position components have no redundancy, so the fault is isolated by the velocity and by
-whether the receiver is consistent with itself. A position that leaves while the velocity still fits
-the IMU is the receiver's fault; a velocity that leaves while the receiver's positions move with it
-is the receiver's or the IMU's, see `receiver_or_imu`. If these are not separable, the filter
-follows the receiver, and its position is declared unbounded.
+whether the receiver is consistent with itself. A position that diverges while the velocity still
+fits the IMU is the receiver's fault; where both diverge together it is the receiver's or the IMU's,
+and `receiver_or_imu` decides. If these are not separable, the filter follows the receiver, and its
+position is declared unbounded.
 """
 
 from dataclasses import replace

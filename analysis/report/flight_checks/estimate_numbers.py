@@ -49,7 +49,7 @@ def numbers_check(recording: FlightData, th: Thresholds, armed: Windows | None) 
         windows += found
         lost += [title] if found else []
     if not windows:
-        evidence = "yes" if judged else "no estimate in the log"
+        evidence = "yes" if judged else "no position, velocity or attitude estimate in the log"
         return FlightCheck(name, PASS if judged else NONE, evidence, limit)
     merged = tuple(merged_windows(windows))
     total_s = sum(end - start for start, end in merged)

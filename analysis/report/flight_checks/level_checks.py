@@ -113,7 +113,7 @@ def _absolute(signal: Signal) -> Signal:
 
 
 def _clipped(recording: FlightData, _: CheckLimits, windows: Windows | None) -> list[Signal]:
-    """The clipping count since the start of the log, or while armed."""
+    """Count of clipped samples while armed; since the log's start where arming is not logged."""
     grown = []
     for signal in recording.of("clipping"):
         # Increments only: the counter may start at any value and restart at zero.

@@ -20,8 +20,11 @@ EXCLUDED_COLOUR = "#c2231c"
 def gnss_pictures(
     results: Sequence[Result], errors: dict[str, Vector], levels: dict[str, Vector]
 ) -> list[Picture]:
-    """Draw all GNSS figures of the results; `errors` (n, 2) are horizontal and vertical errors by
-    solution, `levels` (n, 2) errors and protection levels by direction. None without matplotlib."""
+    """Draw all GNSS figures of the results; none without matplotlib.
+
+    `errors` (n, 2) are the horizontal and vertical error per epoch, keyed by the solution's name;
+    `levels` (n, 2) are error and protection level, keyed by direction.
+    """
     if not has_extra("matplotlib"):
         return []
     seen = [r for r in results if isinstance(r, Decision) and r.elevation_deg]

@@ -24,7 +24,7 @@ def imu_at(buf: Buffer, row: int, lane: int) -> tuple[Three, Three]:
 
 @compiled
 def heun(buf: Buffer, dt: float) -> None:
-    """One step from the samples BEFORE to the samples MEASURED."""
+    """One Heun step from the previous samples (rows BEFORE) to the current ones (rows MEASURED)."""
     wide()
     for lane in range(L):
         before, after = imu_at(buf, B, lane), imu_at(buf, M, lane)

@@ -204,8 +204,8 @@ def main(args: argparse.Namespace) -> int:
     for entry in () if playing.repeats else schedule.faults:
         if isinstance(entry.fault, SimulatorFault):
             print(
-                f"replay: {entry.name} on {', '.join(entry.targets)} changes nothing in a log: the "
-                "simulator applies it; fly it with run, or choose a target in a message",
+                f"replay: {entry.name} on {', '.join(entry.targets)} changes nothing in a log, "
+                "as only the simulator can apply it; use run, or target the field of a message",
                 file=sys.stderr,
             )
     if tape is not None:

@@ -156,4 +156,4 @@ def test_a_fault_of_the_plant_changes_nothing_in_a_log_and_is_named(
     log.write_bytes(b"".join((10**15 + i).to_bytes(8, "big") + sensor(i) for i in range(9)))
     plant = "faults: [{fault: plant, target: PLANT.mass_kg_add, value: 1}]"
     replay.main(arguments(log, plant, tmp_path, out=str(tmp_path / "x.tlog")))
-    assert "plant on PLANT.mass_kg_add changes nothing in a log" in capsys.readouterr().err
+    assert "plant on PLANT.mass_kg_add changes nothing in a log," in capsys.readouterr().err
