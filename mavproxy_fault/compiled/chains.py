@@ -16,7 +16,7 @@ from mavproxy_fault.compiled.element_bytes import (
     read_element,
     write_element,
 )
-from mavproxy_fault.compiled.kernel import choose, i64, kernel
+from mavproxy_fault.compiled.kernel import call, choose, i64, kernel
 from mavproxy_fault.compiled.layout import Shared
 from mavproxy_fault.compiled.rule_numbers import link_rules, value_rules
 from mavproxy_fault.compiled.signatures import sign_again
@@ -94,7 +94,7 @@ def is_ready(
     shared: Shared,
 ) -> bool:  # fmt: skip
     """Whether all entries of a message can act on a frame here; `places` then says where."""
-    loop, table = shared.loop, shared.table[number]
+    table = shared.table[number]
     from_vehicle = shared.ports[link, k.FROM_VEHICLE]
     instance = read_instance(payload, size, number, shared)
     first, place = table[k.CHAIN], 0
@@ -117,11 +117,6 @@ def is_ready(
                 if found < 0:
                     return False
                 shared.places[place] = found
-            drawn = entry[k.USED] if entry[k.DRAWS_FROM] >= 0 else 0
-            chances = entry[k.CHANCES_USED] if entry[k.CHANCES_FROM] >= 0 else 0
-            if max(drawn, chances) + step[k.NEED] > k.BLOCK:
-                loop[k.DRY] = 1
-                return False
             if not _has_exact_numbers(payload, size, step, shared):
                 return False
         first = step[k.NEXT]
@@ -130,12 +125,9 @@ def is_ready(
 
 
 @kernel
-def _draw(entry: Any, shared: Shared) -> float:
+def _draw(entry: Any) -> float:
     """An entry's next drawn number, 0 if it draws none."""
-    if entry[k.DRAWS_FROM] < 0:
-        return 0.0
-    entry[k.USED] += 1
-    return float(shared.draws[entry[k.DRAWS_FROM] + entry[k.USED] - 1])
+    return float(call(entry[k.DRAW], entry[k.DRAWS_FROM])) if entry[k.DRAW] >= 0 else 0.0
 
 
 @kernel
@@ -176,7 +168,7 @@ def _act_on_values(
         i = row - first
         new = _value_rule(
             entry[k.RULE], shared.values, i, t_s, shared.numbers[elements[row, k.NUMBERS_AT] :],
-            shared.memory[place + i * (entry[k.REMEMBERS] - 1) :], _draw(entry, shared),
+            shared.memory[place + i * (entry[k.REMEMBERS] - 1) :], _draw(entry),
         )  # fmt: skip
         # Kept until all are known, as a rule may look at its neighbours.
         shared.values[k.SLOT // 2 + i] = new * shared.factors[row, k.FACTOR]
@@ -208,8 +200,8 @@ def _act_on_frame(
     """Apply a fault of the link to a frame in `work`; the frames that there are then, -1 if it did
     nothing."""
     work, items, entry = shared.work, shared.items, shared.entries[step[k.ENTRY]]
-    u = _draw(entry, shared)
-    v = _draw(entry, shared) if entry[k.DRAW_COUNT] > 1 else 0.0
+    u = _draw(entry)
+    v = _draw(entry) if entry[k.DRAW_COUNT] > 1 else 0.0
     p, size = shared.numbers[step[k.NUMBERS_FROM] :], items[item, k.LENGTH_OF]
     memory = shared.memory[place:]
     number = i64(_link_rule(entry[k.RULE], np.float64(t_us), size, p, memory, u, v))
@@ -260,11 +252,9 @@ def apply_chain(
         for item in range(count if place >= 0 else 0):
             if items[item, k.LENGTH_OF] == 0:
                 continue
-            if entry[k.CHANCES_FROM] >= 0:
-                entry[k.CHANCES_USED] += 1
-                u = shared.draws[entry[k.CHANCES_FROM] + entry[k.CHANCES_USED] - 1]
-                if u >= shared.changes[step[k.ENTRY], 0]:
-                    continue
+            probability = shared.changes[step[k.ENTRY], 0]
+            if entry[k.CHANCE] >= 0 and call(entry[k.CHANCE], entry[k.CHANCES_FROM]) >= probability:
+                continue
             own_us = _own_time(entry, t_us, shared)
             if entry[k.ON_LINK]:  # it acts when the earlier entries let the frame go
                 own_us += items[item, k.LATE_US]

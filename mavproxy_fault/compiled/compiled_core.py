@@ -186,7 +186,7 @@ class CompiledCore:
         self._refresh()
         self._interrupted = [loop[place] for place in INTERRUPTED]
         loop[k.LENT], loop[k.LINK], loop[k.CAME] = length, link, now_us * 1000 - loop[k.BASE]
-        self._run()
+        self._forward(self._addresses)
 
     def _collect(self, now_us: int) -> tuple[list[Send], int, int]:
         """Return what leaves of a lent chunk, how many bytes passed, and what ended it."""
@@ -209,18 +209,6 @@ class CompiledCore:
             found += self._core.to_links(masks[rows, segment] & links, data, now_us)
             at += length
         return found
-
-    def _run(self) -> int:
-        """Call the machine code, with drawn numbers as it needs them; why it returned."""
-        loop = self.loop
-        while True:
-            loop[k.DRY] = 0
-            if self._plans is not None:
-                self._plans.draw_ahead()
-            reason = self._forward(self._addresses)
-            if not loop[k.DRY] or self._plans is None:
-                return reason
-            self._plans.set_back()
 
     # What was done
 

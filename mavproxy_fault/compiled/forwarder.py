@@ -90,7 +90,7 @@ class Forwarder(CompiledCore):
         if self.pending:  # delayed frames may have been sent while it waited within its batch
             last_due_ns = self._core.last_due_us * 1000 - loop[k.BASE]
             loop[k.CAME] = max(loop[k.CAME], last_due_ns)
-        reason = self._run()
+        reason = self._forward(self._addresses)
         now_us = (loop[k.BASE] + loop[k.CAME]) // 1000
         if loop[k.OTHERS]:
             others = loop[k.OTHERS]

@@ -14,7 +14,7 @@ import numpy as np
 from llvmlite import ir  # type: ignore[import-untyped]
 from numba import from_dtype, njit, types
 from numba.core.typing.templates import AttributeTemplate
-from numba.extending import infer_getattr, lower_getattr_generic
+from numba.extending import infer_getattr, intrinsic, lower_getattr_generic
 from numba.np.arrayobj import make_array, populate_array
 
 from mavproxy_fault.compiled.layout import SHAPES
@@ -51,6 +51,17 @@ def choose(functions: Sequence[Callable[..., Any]], arguments: str) -> Callable[
     # numba cannot call a function out of a list.
     exec("\n".join([f"def chosen(n, {arguments}):", *lines, "    return 0.0"]), names)
     return kernel(cast("Callable[..., float]", names["chosen"]))
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def call(_: Any, function: Any, argument: Any) -> Any:
+    """Call a C function of one address that returns a double, by its own address."""
+
+    def code(__: Any, builder: Any, ___: Any, values: Any) -> Any:
+        kind = ir.FunctionType(ir.DoubleType(), [ir.IntType(64)])
+        return builder.call(builder.inttoptr(values[0], kind.as_pointer()), [values[1]])
+
+    return types.float64(types.int64, types.int64), code
 
 
 @infer_getattr

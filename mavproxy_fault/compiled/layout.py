@@ -27,8 +27,6 @@ MOST_STEPS = 1024  # entries in the chains of all messages
 MOST_ELEMENTS = 2048
 MOST_NUMBERS = 16_384
 MOST_KEYS = 1024  # senders that rules remember
-MOST_DRAWN = 32  # entries that draw from a block of their own
-BLOCK = 2048  # numbers drawn ahead for each
 MOST_WORK = 64  # frames that one frame may become
 SLOT = 320  # bytes kept for each, more than the longest frame
 MOST_CHAIN = 32  # entries that may act on one message
@@ -44,15 +42,15 @@ INTERPRETED, PASS, PASS_UNTIL_EDGE, PLANNED = range(4)  # kinds
 # Columns of `entries`, a row for each active entry
 EFFECT, RULE, START, SYSTEM, COMPONENT, DIRECTION, INSTANCE = range(7)  # -1: any
 REMEMBERS, BY_SENDER, SEALED_TOO, QUIET = range(7, 11)  # QUIET: directions in its label, a mask
-DRAW_COUNT, DRAWS_FROM, USED, CHANCES_FROM, CHANCES_USED = range(11, 16)  # -1: draws nothing
+DRAW_COUNT, DRAW, DRAWS_FROM, CHANCE, CHANCES_FROM = range(11, 16)  # addresses; -1: draws nothing
 ON_LINK, UNTIL = 16, 17  # whether it counts in link time; from when on the core has to see a frame
 FRAMES_HIT, SATURATED, SEALED, FIRST_US, WAYS = range(18, 23)  # counts; WAYS: bit mask
 LABEL_AT = 23  # when the core has to see a frame for a label
 ENTRY_SIZE = 24
 VALUES, DELAY, COPIES, RENUMBER, IDLE = range(5)  # effects; IDLE: none before UNTIL
 # Columns of `steps`, the chains of entries on a message
-ENTRY, FROM, TO, NEXT, END, NEED, NUMBERS_FROM = range(7)  # END: bytes that the elements need
-STEP_SIZE = 7
+ENTRY, FROM, TO, NEXT, END, NUMBERS_FROM = range(6)  # END: bytes that the elements need
+STEP_SIZE = 6
 # Columns of `elements` and of `factors`
 OFFSET, CODE, NUMBERS_AT = range(3)
 FACTOR, STEP_SCALE = range(2)  # divisors, for the rule and for the label
@@ -74,7 +72,7 @@ DATA_AT, DATA_LENGTH = range(2)
 # Entries of `loop`
 DEADLINE, BASE, SPIN, LINK, AT, COUNT, EDGE, WANTED_AT, POLLS, KEEP = range(10)
 RECEIVED_AT, SENT_AT, INDEX_AT, SECONDS, NANOSECONDS, LINK_COUNT, PRECISE = range(10, 17)
-DRY, CAME = 17, 23  # whether a block of drawn numbers ran out; when the newest batch came
+CAME = 17  # when the newest batch came
 TIME_AT, POLLS_AT, HEADS_AT, HEADERS_AT, PEERS_AT = range(18, 23)  # addresses, for system calls
 DUE_COUNT, DUE_AT = 24, 25  # datagrams to send at one time, kept in the rows after the links'
 COMPILED_LINKS = 26  # bit mask
@@ -84,9 +82,9 @@ ROW_AT, OUT_AT, SEGMENT, OPEN = range(28, 32)  # in the datagram; in the output;
 HELD_AT, KEY_COUNT = 32, 33  # bytes of delayed frames, and rows of `keys`
 LENT, FOUND = 34, 35  # bytes of a chunk lent in the last row; what became of a datagram
 OUT_END, OTHERS = 36, 37  # of the output's room; links outside the compiled form that it is for
-MASK = 38  # the links that a lent chunk leaves on, or one of the next
-LINK_EDGE, WANTED_LINK_AT = 39, 40  # as EDGE and WANTED_AT, in link time
-LOOP_SIZE = 41
+MASK = 23  # the links that a lent chunk leaves on, or one of the next
+LINK_EDGE, WANTED_LINK_AT = 38, 39  # as EDGE and WANTED_AT, in link time
+LOOP_SIZE = 40
 UNTOUCHED, BEGUN = -1, -2
 # Why it returns
 TIME_IS_UP, HANDED_OVER, OTHER_READY, DUE_SENT, LENT_PASSED, TO_SETTLE = range(6)
@@ -141,7 +139,6 @@ class Shared(NamedTuple):
     factors: Doubles = ("d", MOST_ELEMENTS, 2)
     numbers: Doubles = ("d", MOST_NUMBERS)
     keys: Integers = ("q", MOST_KEYS, 6)
-    draws: Doubles = ("d", MOST_DRAWN * BLOCK)
     memory: Doubles = ("d", memory.NUMBERS)
     places: Integers = ("q", MOST_CHAIN)  # where each entry of a chain has its memory
     values: Doubles = ("d", SLOT)  # of a frame's elements

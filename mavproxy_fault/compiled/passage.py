@@ -32,8 +32,6 @@ class Passage(CompiledCore):
         At that time the core has frames to send; None if it has none.
         """
         self._refresh()
-        if self._plans is not None:
-            self._plans.draw_ahead()
         return self._core.next_due_us
 
     @property

@@ -1,11 +1,11 @@
-"""Active entries written down as rows of numbers, and the random numbers drawn ahead for them.
+"""Active entries written down as rows of numbers.
 
 A message goes the compiled way if all entries that act on it have a rule. What a rule remembers
-lies in `memory`, for both ways. Random numbers are drawn ahead in blocks; when the core asks for a
-generator, it is set back to the first unused number, so that both ways give the same bytes. numpy
-is not loaded for this: it would hold up the first frame on which a fault acts.
+lies in `memory`, and both ways draw from the same generators, machine code by the address of
+numpy's functions. numpy is loaded only for that: it would hold up the first frame of a fault.
 """
 
+import ctypes
 import itertools
 from array import array
 from collections.abc import Sequence
@@ -55,46 +55,20 @@ def stage(running: ActiveEntry) -> Stage:
     return Stage(running.fault, running.label_us, len(memories_of(running)))
 
 
-class DrawnAhead:
-    """Stands for a generator whose numbers lie in a block; who asks for it gets it set back."""
+def draw_addresses(kind: str, rng: Any) -> tuple[int, int]:
+    """Return the addresses of numpy's function that draws a number of a kind, and of its argument.
 
-    def __init__(self, running: ActiveEntry, name: str, kind: str, used: tuple[int, int]) -> None:
-        self._running, self._name, self._kind, self._used_at = running, name, kind, used
-        self._rng = getattr(running, name)
-        self._state = self._rng.bit_generator.state  # where the block begins
+    That is the generator's state, which calls from Python advance too.
+    """
+    from numpy.random import _generator
 
-    def draw(self, entries: Any) -> Any:
-        """Draw a block; the same numbers as one by one."""
-        self._entries = entries
-        entries[self._used_at] = 0
-        setattr(self._running, self._name, self)
-        return getattr(self._rng, self._kind)(k.BLOCK)
-
-    def __getattr__(self, name: str) -> Any:
-        self.set_back()
-        return getattr(self._rng, name)
-
-    def set_back(self) -> None:
-        """Set the generator back to the first unused number."""
-        used = self._entries[self._used_at]
-        if used < k.BLOCK:
-            self._rng.bit_generator.state = self._state
-            getattr(self._rng, self._kind)(used)
-        setattr(self._running, self._name, self._rng)
-
-
-class Drawing(NamedTuple):
-    """A generator of an entry that is drawn ahead: its name, kind of numbers, place and block."""
-
-    running: ActiveEntry
-    name: str
-    kind: str
-    used: tuple[int, int]
-    start: int
+    name = "random_standard_uniform" if kind == "random" else f"random_{kind}"
+    function = ctypes.cast(ctypes.CDLL(_generator.__file__)[name], ctypes.c_void_p).value or 0
+    return function, rng.bit_generator.ctypes.bit_generator.value
 
 
 class Plans:
-    """The rows of all planned entries, and the random numbers drawn ahead for them."""
+    """The rows of all planned entries."""
 
     def __init__(self, shared: k.Shared) -> None:
         self._shared = shared
@@ -102,13 +76,11 @@ class Plans:
         self._running: list[ActiveEntry] = []  # by row
         self._rows: dict[int, int | None] = {}  # of an entry, by its identity
         self._stages: list[tuple[ActiveEntry, Stage]] = []
-        self._drawings: list[Drawing] = []
         self._steps_used = self._elements_used = self._numbers_used = 0
 
     def clear(self) -> None:
         """Forget all rows."""
-        self.set_back()
-        self._running, self._rows, self._stages, self._drawings = [], {}, [], []
+        self._running, self._rows, self._stages = [], {}, []
         self._steps_used = self._elements_used = self._numbers_used = self.key_count = 0
 
     @property
@@ -134,7 +106,7 @@ class Plans:
         frames = 1
         for running, row in zip(acting, rows, strict=True):
             assert row is not None
-            if not self._add_step(layout, running, row, frames):
+            if not self._add_step(layout, running, row):
                 return None
             if getattr(running.fault, "effect", "") == "copies":
                 frames += running.fault.copies
@@ -192,26 +164,18 @@ class Plans:
             -1 if one is None else one
             for one in (where.system, where.component, direction, where.id)
         ]
-        if not self._add_drawings(running, row, plan) or not self._add_keys(running, row):
+        plan[k.DRAW_COUNT] = getattr(fault, "draw_count", 1)
+        if drawn := getattr(fault, "drawn", ""):
+            plan[k.DRAW : k.DRAWS_FROM + 1] = draw_addresses(drawn, running.rng)
+        if running.entry.probability < 1.0:
+            plan[k.CHANCE : k.CHANCES_FROM + 1] = draw_addresses("random", running.chance_rng)
+        if not self._add_keys(running, row):
             return None
         for column, value in enumerate(plan):
             self._shared.entries[row, column] = value
         self._shared.changes[row, 0], self._shared.changes[row, 1] = running.entry.probability, -1.0
         self._running.append(running)
         return row
-
-    def _add_drawings(self, running: ActiveEntry, row: int, plan: list[int]) -> bool:
-        kind, fault = getattr(running.fault, "drawn", ""), running.fault
-        wanted = [("rng", kind, k.DRAWS_FROM, k.USED)] if kind else []
-        if running.entry.probability < 1.0:
-            wanted.append(("chance_rng", "random", k.CHANCES_FROM, k.CHANCES_USED))
-        plan[k.DRAW_COUNT] = getattr(fault, "draw_count", 1)
-        for name, numbers, begins, used in wanted:
-            if len(self._drawings) == k.MOST_DRAWN:
-                return False
-            plan[begins] = k.BLOCK * len(self._drawings)
-            self._drawings.append(Drawing(running, name, numbers, (row, used), plan[begins]))
-        return True
 
     def _add_keys(self, running: ActiveEntry, row: int) -> bool:
         for way, key, memory in memories_of(running):
@@ -242,26 +206,24 @@ class Plans:
         rows = fault.numbers(len(elements))
         return [(*one, 1.0) for one in zip(elements, rows, factors, strict=True)]
 
-    def _add_step(self, layout: Layout, running: ActiveEntry, row: int, frames: int) -> bool:
+    def _add_step(self, layout: Layout, running: ActiveEntry, row: int) -> bool:
         """Write the row of one entry on one message, where it can act there."""
         found, fault = self._elements_of(layout, running.fault), running.fault
         stateful = self._shared.entries[row, k.REMEMBERS] > 0
         numbers = fault.numbers() if isinstance(fault, RuleLinkFault) else ()
         room = sum(len(one[1]) for one in found) + len(numbers)
-        need = frames * (len(found) if found else self._shared.entries[row, k.DRAW_COUNT])
         if (
             any(one.code in "qQ" and stateful for one, *_ in found)
             or self._steps_used == k.MOST_STEPS
             or self._elements_used + len(found) > k.MOST_ELEMENTS
             or self._numbers_used + room > k.MOST_NUMBERS
             or len(found) > k.SLOT // 2
-            or need > k.BLOCK
         ):
             return False
         first = self._elements_used
         step = (
             row, first, first + len(found), -1, max((one.end for one, *_ in found), default=0),
-            need, self._numbers_used,
+            self._numbers_used,
         )  # fmt: skip
         for column, value in enumerate(step):
             self._shared.steps[self._steps_used, column] = value
@@ -285,21 +247,7 @@ class Plans:
         self._shared.numbers[self._numbers_used : end] = array("d", numbers)
         self._numbers_used = end
 
-    # Before and after a stretch of forwarding
-
-    def draw_ahead(self) -> None:
-        """Fill the blocks whose generators the core has had meanwhile."""
-        for running, name, kind, used, start in self._drawings:
-            if not isinstance(getattr(running, name), DrawnAhead):
-                block = DrawnAhead(running, name, kind, used).draw(self._shared.entries)
-                self._shared.draws[start : start + k.BLOCK] = block
-
-    def set_back(self) -> None:
-        """Set all generators back to their first unused numbers."""
-        for one in self._drawings:
-            generator = getattr(one.running, one.name)
-            if isinstance(generator, DrawnAhead):
-                generator.set_back()
+    # After a stretch of forwarding
 
     def settle(self, engine: "Engine") -> bool:
         """Add the counts of the compiled code to the entries; whether a label has begun."""

@@ -55,9 +55,6 @@ class LogFrames(NamedTuple):
     slot: NDArray[np.int16]
 
 
-Resume = tuple[int, int, int, int]
-
-
 @inline_in_kernels
 def _follows(base: Any, size: Any, at: Any, end: Any) -> Any:
     """Whether a further record, stamped near the one whose frame is at `at`, starts at `end`."""
@@ -90,10 +87,8 @@ def _record(base: Any, size: Any, probe: Any, previous: Any, messages: Any) -> A
 
 
 @compiled
-def walk(
-    data: Bytes, start: int, messages: LogMessages, runs: Integers, counts: Integers
-) -> tuple[int, int, int]:
-    """Find frames from byte `start` on until `runs` could overflow or the data ends.
+def walk(data: Bytes, start: int, messages: LogMessages, frames: LogFrames) -> tuple[int, int, int]:
+    """Find frames from byte `start` on until `frames` is full or the data ends.
 
     Where a record does not verify, every later byte is tried as the start of a frame, so that one
     broken record costs no intact one.
@@ -106,142 +101,60 @@ def walk(
         Where the previous record ended.
     messages : LogMessages
         What is known of the dialect.
-    runs : int64 array, shape (m, 2)
-        Filled: where a frame starts that is followed by others record upon record, and how many
-        they are with it. At most m frames are looked for.
-    counts : int64 array, shape (slots,)
-        Frames of each slot, counted up.
+    frames : LogFrames
+        Filled; the stamp is -1 where its bytes are not all there.
 
     Returns
     -------
     tuple
-        Runs found, where to go on (the data's length at its end), bytes belonging to no record.
+        Frames found, where to go on (the data's length at its end), bytes belonging to no record.
     """
     size, base = data.shape[0], data.ctypes.data
     found = junk = 0
-    used = -1
     previous, probe = start, start + 8  # the end of the last record, and where a frame may begin
     in_line = True  # the next frame is where the last record says it is
-    while found < runs.shape[0] and (in_line or probe + 8 <= size):
+    while found < frames.at.shape[0] and (in_line or probe + 8 <= size):
         good, slot, end = _record(base, size, probe, previous, messages)
         if not good:
             # A lost byte may lie in the stamp: then the frame starts early, so look from its start.
             probe = previous if in_line else probe + 1
             in_line = False
             continue
-        if not in_line or used < 0:
-            used += 1
-            # A run costs one row however long it is: intact logs have one.
-            runs[used, 0], runs[used, 1] = probe, 0
-            junk += probe - 8 - previous if probe - 8 >= previous else probe - previous
-        runs[used, 1] += 1
-        if slot >= 0:
-            counts[slot] += 1
+        stamped = probe - 8 >= previous
+        junk += probe - 8 - previous if stamped else probe - previous
+        frames.at[found], frames.slot[found] = probe, slot
+        frames.t_us[found] = big_endian64(base + probe - 8) if stamped else np.int64(-1)
         found += 1
         previous, probe = end, end + 8
         in_line = True
-    if found < runs.shape[0]:
-        return used + 1, size, junk + size - previous
-    return used + 1, previous, junk
-
-
-@inline_in_kernels
-def _next(base: Any, runs: Any, run: Any, place: Any, end: Any) -> Any:
-    """The frame after the one at `place` of a run that ends at `end`.
-
-    Its run, place, address (-1: there is none) and stamp (-1: its bytes are not all there).
-    """
-    if place + 1 < runs[run, 1]:
-        return run, place + 1, end + 8, big_endian64(base + end)
-    if run + 1 == runs.shape[0]:
-        return run + 1, 0, np.int64(-1), np.int64(-1)
-    at = runs[run + 1, 0]
-    return run + 1, 0, at, big_endian64(base + at - 8) if at - 8 >= end else np.int64(-1)
-
-
-@inline_in_kernels
-def _lone(stamp: Any, before: Any, after: Any) -> Any:
-    """Whether a stamp is missing or far from both its neighbours, which are near each other.
-
-    A clock that jumps and stays there is not damage.
-    """
-    return stamp < 0 or (
-        abs(stamp - before) > SLIP_US
-        and after >= 0
-        and abs(stamp - after) > SLIP_US
-        and abs(after - before) < SLIP_US
-    )
+    if found < frames.at.shape[0]:
+        return found, size, junk + size - previous
+    return found, previous, junk
 
 
 @compiled
-def first_stamp(data: Bytes, runs: Integers) -> Any:
-    """The first stamp that its successor confirms, else the first there is, else 0."""
-    base = data.ctypes.data
-    size = data.shape[0]
-    run = place = 0
-    first = stamp = np.int64(-1)
-    at = np.int64(-1)
-    if runs.shape[0]:
-        at = runs[0, 0]
-        stamp = big_endian64(base + at - 8) if at >= 8 else stamp
-    while at >= 0:
-        _, _, end = frame_header(base, size, at)
-        before = stamp
-        run, place, at, stamp = _next(base, runs, run, place, end)
-        if before >= 0 and stamp >= 0 and abs(stamp - before) <= SLIP_US:
-            return before
-        # Not confirmed, but better than none.
-        first = max(first, before) if first < 0 else first
-    return max(first, np.int64(0))
+def repair_stamps(t_us: Integers) -> None:
+    """Replace stamps (n,) that are missing (negative), or far from both their neighbours while
+    these are near each other, by the one before.
 
-
-@compiled
-def unroll(
-    data: Bytes, runs: Integers, messages: LogMessages, resume: Resume, frames: LogFrames
-) -> tuple[int, Any]:
-    """One entry per frame, until the arrays are full or the runs at an end.
-
-    Parameters
-    ----------
-    data, messages
-        As for `walk`.
-    runs : int64 array, shape (m, 2)
-        As `walk` filled it.
-    resume : tuple of int
-        Run and place in it to begin with, where the frame before ended, and its stamp; in the
-        beginning (0, 0, 0, `first_stamp`).
-    frames : LogFrames
-        Filled. A damaged stamp is replaced by the one before.
-
-    Returns
-    -------
-    tuple
-        Entries filled, and what `resume` is to be for the rest.
+    A clock that jumps and stays there is not damage. Before the first stamp holds the first that
+    its successor confirms, else the first there is.
     """
-    base = data.ctypes.data
-    size = data.shape[0]
-    run, place, end, good = resume
-    at, t_us, slot = frames.at, frames.t_us, frames.slot
-    slots = messages.slots
-    filled = 0
-    probe: Any = np.int64(-1)
-    stamp: Any = np.int64(-1)
-    if run < runs.shape[0]:
-        # Inside a run the next frame starts eight bytes of stamp behind the one before.
-        probe = runs[run, 0] if place == 0 else end + 8
-        stamp = big_endian64(base + probe - 8) if probe - 8 >= end else stamp
-    while filled < at.shape[0] and probe >= 0:
-        _, number, end = frame_header(base, size, probe)
-        at[filled] = probe
-        slot[filled] = slots[number] if number < slots.shape[0] else np.int16(UNKNOWN)
-        run, place, probe, after = _next(base, runs, run, place, end)
-        # Otherwise the stamp before is given once more.
-        if not _lone(stamp, good, after):
-            good = stamp
-        t_us[filled] = good
-        stamp = after
-        filled += 1
-    return filled, (run, place, end, good)
+    count = t_us.shape[0]
+    good = np.int64(-1)
+    for i in range(count):
+        confirmed = i + 1 < count and t_us[i + 1] >= 0 and abs(t_us[i + 1] - t_us[i]) <= SLIP_US
+        if t_us[i] >= 0 and (confirmed or good < 0):
+            good = t_us[i]
+            if confirmed:
+                break
+    good = max(good, np.int64(0))
+    for i in range(count):
+        after = t_us[i + 1] if i + 1 < count else np.int64(-1)
+        alone = abs(t_us[i] - good) > SLIP_US and abs(t_us[i] - after) > SLIP_US
+        if t_us[i] < 0 or (alone and after >= 0 and abs(after - good) < SLIP_US):
+            t_us[i] = good
+        good = t_us[i]
 
 
 @compiled
@@ -255,7 +168,7 @@ def scatter(
     data : uint8 array, shape (n,)
         The log.
     frames : LogFrames
-        As `unroll` filled them.
+        As `walk` filled them.
     lengths : int64 array, shape (slots,)
         Full payload length of each slot in bytes, -1 for one that is not wanted.
     nexts : int64 array, shape (slots,)

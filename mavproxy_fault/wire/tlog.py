@@ -29,24 +29,11 @@ if TYPE_CHECKING:  # numba is loaded only when a log is read
     from mavproxy_fault.wire.log_walk import LogFrames, LogMessages
 
 Columns = dict[str, NDArray[np.void]]
+_Block = tuple["LogFrames", int, int]  # frames, the byte behind them, and bytes outside of any
 
 BLOCK_FRAMES = 1 << 17  # bounds the memory of one block
 ORDERED_FRAMES = 1 << 15  # of `read_ordered`: fewer add calls, more exceed the processor's cache
-CACHED_FRAMES = 1 << 14  # their offsets and timestamps fit in the processor's cache
 END_BYTES = 1 << 16  # read at either end of a log to find its first and last frame
-
-
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """Frames of one section of a log: runs of consecutive frames, and counts per message.
-
-    `runs` are as `log_walk.walk` returns them; `end` is the byte offset after the section.
-    """
-
-    runs: NDArray[np.int64]
-    counts: NDArray[np.int64]
-    junk_bytes: int
-    end: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,54 +128,37 @@ def map_bytes(path: Path) -> NDArray[np.uint8]:
     return np.memmap(path, np.uint8, mode="r", shape=(size,))
 
 
-def _blocks(data: NDArray[np.uint8], frames: int) -> Iterator[_Block]:
-    """Find the frames of a log, up to `frames` per block."""
-    from mavproxy_fault.wire.log_walk import walk
+def _blocks(data: NDArray[np.uint8], count: int) -> Iterator[_Block]:
+    """Yield the frames of a log, up to `count` at a time, where they end, and the bytes between."""
+    from mavproxy_fault.wire.log_walk import LogFrames, repair_stamps, walk
 
-    messages = _messages()
-    runs = np.empty((frames, 2), np.int64)
-    start = 0
-    while start < len(data):
-        counts = np.zeros(len(messages.lengths), np.int64)
-        count, start, junk = walk(data, start, messages, runs, counts)
-        yield _Block(runs[:count].copy(), counts, junk, start)
+    end = 0
+    while end < len(data):
+        at, t_us = np.empty(count, np.int64), np.empty(count, np.int64)
+        slot = np.empty(count, np.int16)
+        found, end, junk_bytes = walk(data, end, _messages(), LogFrames(at, t_us, slot))
+        repair_stamps(t_us[:found])
+        yield LogFrames(at[:found], t_us[:found], slot[:found]), end, junk_bytes
 
 
 def _entire_log(data: NDArray[np.uint8]) -> _Block:
     """Return the entire log as one block."""
     blocks = list(_blocks(data, BLOCK_FRAMES))
-    return _Block(
-        np.concatenate([block.runs for block in blocks]),
-        np.sum([block.counts for block in blocks], axis=0),
-        sum(block.junk_bytes for block in blocks),
-        blocks[-1].end,
+    frames = type(blocks[0][0])(
+        *map(np.concatenate, zip(*(one for one, *_ in blocks), strict=True))
     )
-
-
-def _unroll_frames(data: NDArray[np.uint8], block: _Block) -> Iterator["LogFrames"]:
-    """Yield offset, timestamp and slot of every frame in batches; the arrays are reused."""
-    from mavproxy_fault.wire.log_walk import LogFrames, first_stamp, unroll
-
-    at, t_us = np.empty(CACHED_FRAMES, np.int64), np.empty(CACHED_FRAMES, np.int64)
-    frames = LogFrames(at, t_us, np.empty(CACHED_FRAMES, np.int16))
-    resume = (0, 0, 0, first_stamp(data, block.runs))
-    filled = CACHED_FRAMES
-    while filled == CACHED_FRAMES:
-        filled, resume = unroll(data, block.runs, _messages(), resume, frames)
-        yield LogFrames(at[:filled], t_us[:filled], frames.slot[:filled])
+    return frames, blocks[-1][1], sum(junk_bytes for *_, junk_bytes in blocks)
 
 
 def _columns(
-    data: NDArray[np.uint8],
-    counts: NDArray[np.int64],
-    parts: Iterable["LogFrames"],
-    only: Collection[str] | None = None,
+    data: NDArray[np.uint8], frames: "LogFrames", only: Collection[str] | None = None
 ) -> Columns:
-    """Decode batches of frames into columns; `counts` are the frames of each message."""
+    """Decode frames into columns, one structured array for each message."""
     from mavproxy_fault.wire.log_walk import HEAD, SLACK, scatter
 
     names = message_names()
     lengths = _messages().lengths
+    counts = np.bincount(frames.slot[frames.slot >= 0], minlength=len(names))
     wanted = counts > 0
     if only is not None:
         wanted &= np.array([name in only for name in names])
@@ -198,9 +168,7 @@ def _columns(
     begins = np.concatenate(([0], np.cumsum(sizes + -sizes % 64)))
     rows = np.zeros(int(begins[-1]), np.uint8)
     wanted_lengths = np.where(wanted, lengths, -1)
-    nexts = begins[:-1].copy()
-    for frames in parts:
-        scatter(data, frames, wanted_lengths, nexts, rows)
+    scatter(data, frames, wanted_lengths, begins[:-1].copy(), rows)
     columns = {}
     for slot_ in np.flatnonzero(wanted):
         dtype = row_dtype(names[slot_])
@@ -244,17 +212,14 @@ def read_parts(path: str | Path) -> Iterator[Log]:
 
 
 def _log(data: NDArray[np.uint8], block: _Block) -> Log:
-    parts = [(some.at.copy(), _frames(data, some)) for some in _unroll_frames(data, block)]
-    at = np.concatenate([places for places, _ in parts])
-    frames = np.concatenate([some for _, some in parts])
-    columns = _columns(data, block.counts, _unroll_frames(data, block))
-    others = _foreign_frames(data, at, frames)
-    junk = block.junk_bytes
+    known, end, junk = block
+    frames = _frames(data, known)
+    others = _foreign_frames(data, known.at, frames)
     if len(others.at):
         junk -= int((_frame_ends(data, others.at) - others.at).sum()) + 8 * len(others.at)
-        order = np.argsort(np.concatenate([at, others.at]), kind="stable")
+        order = np.argsort(np.concatenate([known.at, others.at]), kind="stable")
         frames = np.concatenate([frames, _frames(data, others)])[order]
-    return Log(columns, frames, junk, len(data), block.end)
+    return Log(_columns(data, known), frames, junk, len(data), end)
 
 
 def _frame_ends(data: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -303,15 +268,14 @@ def read_columns(path: str | Path, only: Collection[str] | None = None) -> Colum
         appended.
     """
     data = map_bytes(Path(path))
-    block = _entire_log(data)
-    return _columns(data, block.counts, _unroll_frames(data, block), only)
+    return _columns(data, _entire_log(data)[0], only)
 
 
 def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterator[Columns]:
     """Read columns in blocks of 131,072 frames, for logs larger than memory."""
     data = map_bytes(Path(path))
-    for block in _blocks(data, BLOCK_FRAMES):
-        yield _columns(data, block.counts, _unroll_frames(data, block), only)
+    for frames, *_ in _blocks(data, BLOCK_FRAMES):
+        yield _columns(data, frames, only)
 
 
 def read_ordered(
@@ -335,40 +299,31 @@ def read_ordered_bytes(
 ) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
     """Do the same as `read_ordered` for a log's bytes (n,) in memory."""
     slots = {name: slot for slot, name in enumerate(message_names())}
-    for block in _blocks(data, frames):
+    for found, _, junk_bytes in _blocks(data, frames):
         if junk is not None:
-            junk[0] += block.junk_bytes
-        parts = [
-            # Copies, because the arrays are reused for the next batch.
-            type(some)(some.at.copy(), some.t_us.copy(), some.slot.copy())
-            for some in _unroll_frames(data, block)
-        ]
-        columns = _columns(data, block.counts, parts, only)
-        slot = np.concatenate([frames.slot for frames in parts])
-        yield columns, {name: np.flatnonzero(slot == slots[name]) for name in columns}
+            junk[0] += junk_bytes
+        columns = _columns(data, found, only)
+        yield columns, {name: np.flatnonzero(found.slot == slots[name]) for name in columns}
 
 
 def extent_us(path: str | Path) -> tuple[int, int] | None:
     """Return the timestamps of the first and last frame; None if there is no frame."""
     data = map_bytes(Path(path))
-    ends: list[int] = []
     # Read only the ends: a log may have gigabytes.
-    for part in (data[:END_BYTES], data[-END_BYTES:]):
-        for _, t_us, _ in _unroll_frames(part, _entire_log(part)):
-            ends.extend(t_us[[0, -1]].tolist() if len(t_us) else [])
-    return (ends[0], ends[-1]) if ends else None
+    ends = [_entire_log(part)[0].t_us for part in (data[:END_BYTES], data[-END_BYTES:])]
+    stamps = np.concatenate(ends)
+    return (int(stamps[0]), int(stamps[-1])) if len(stamps) else None
 
 
 def read_records(path: str | Path) -> Iterator[tuple[int, bytes, Layout | None]]:
     """Yield timestamp, bytes and layout (None if unknown) of every frame in order."""
     data = map_bytes(Path(path))
     layouts = [message_layout(name) for name in message_names()]
-    for block in _blocks(data, BLOCK_FRAMES):
-        for at, t_us, slot in _unroll_frames(data, block):
-            rows = (at.tolist(), _frame_ends(data, at).tolist(), t_us.tolist(), slot.tolist())
-            for start, end, stamp, which in zip(*rows, strict=True):
-                layout = layouts[which] if which >= 0 else None
-                yield stamp, data[start:end].tobytes(), layout
+    for frames, *_ in _blocks(data, BLOCK_FRAMES):
+        rows = (*frames[:2], _frame_ends(data, frames.at), frames.slot)
+        for start, stamp, end, which in zip(*(one.tolist() for one in rows), strict=True):
+            layout = layouts[which] if which >= 0 else None
+            yield stamp, data[start:end].tobytes(), layout
 
 
 def read_frames(path: str | Path) -> Iterator[tuple[int, Frame]]:
