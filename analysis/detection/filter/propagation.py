@@ -104,7 +104,7 @@ def propagate_filter(
 ) -> tuple[MotionEstimate, Vector]:
     """The filter at `until_us`, before the epoch there is used, and the transition (20, 20)."""
     dt_s = (until_us - motion.t_us) * 1e-6
-    noise = config.noise.densities
+    noise = config.noise
     complete = segment.gap_s <= config.gap_s and len(segment.samples) > 0
     if motion.inertial and complete and config.antenna is None:
         x, p, phi = propagate_inertial(motion.x, motion.p, segment.samples, noise)

@@ -27,7 +27,6 @@ from analysis.detection.statistics.chi_square import chi_square_threshold, subse
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
-ISOLATION_RULES = ("explicit", "plain")
 LEAST_DOF_LEFT = 2  # after leaving out: with one, too many wrong sets pass
 
 
