@@ -1,9 +1,4 @@
-"""Which verdicts count when sensors and actuators seem faulty at the same time.
-
-Actuators are tested with the IMU, so none is isolated while the IMU is, nor for a while after.
-After a crash that an actuator caused, sensor verdicts are void: an impact of many g exceeds an
-IMU's range, and so does a tumble faster than its gyro's range.
-"""
+"""Which verdicts count when sensors and actuators seem faulty at once (docs/watches.md)."""
 
 from collections.abc import Iterable
 

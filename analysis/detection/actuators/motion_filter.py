@@ -1,13 +1,7 @@
-"""Learns the coefficients of the motion in flight: one Kalman filter per axis.
+"""Learns the coefficients of the motion in flight: one Kalman filter per axis [1]_.
 
-The terms x of a bin predict the motion of each axis as theta' x. theta is constant except for its
-first element, the constant term, which follows a random walk, as trim, load and steady wind change.
-The mean of the residual e over a short memory is m. The covariance C of m is learned from its own
-past, so that lasting gusts and model errors are accounted for; e is taken as white, with the noise
-that would give m its observed variance.
-
-A bin is used for learning only some bins later, and only if no fault was suspected meanwhile:
-otherwise a fault would become part of the model before it is detected [1]_.
+The terms x of a bin predict the motion of each axis as theta' x; m is the mean of the residual e,
+and its covariance C is learned from its own past (docs/fdi.md, "Actuators").
 
 References
 ----------

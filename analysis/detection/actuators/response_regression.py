@@ -2,15 +2,7 @@
 
 An actuator that lost a share g of its effect, or is stuck (g = 1), falls short by that share of
 every movement. Each step of half a second gives the residual e of the motion, and the signal s that
-a hypothesis predicts in it: for actuator i the modelled effect of its command, reversed; for a
-shifted load a moment about y proportional to the force along z; for a faulty pitot tube the
-modelled effect of the airspeed. With a trim that walks by a few V beside noise of covariance V,
-
-    e = g s + trim + noise,   A = sum s' inv(V) s,   g = sum s' inv(V) e / A,   r = g^2 A,
-
-where the sums extend over some seconds and r is the part of sum e' inv(V) e that the hypothesis
-explains. A stuck actuator may also push by a constant. The variance of g is 1 / A plus the
-uncertainty of the effect itself.
+a hypothesis predicts in it; docs/fdi.md, "Actuators", has the sums.
 """
 
 from dataclasses import dataclass, field

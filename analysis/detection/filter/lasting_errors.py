@@ -1,15 +1,7 @@
 """Errors that last for minutes: the position's covariance beyond the filter's covariance.
 
-A filter that takes epochs as independent averages its noise away, but not multipath, orbit and
-clock errors, and the residuals of the atmosphere's models: these are the same at the next epoch.
 They are *considered*, not estimated [1]_: gain and tests stay as they are, and the reported
-covariance of the position is
-
-    f P + S L S',   S = inv(A'WA) A'W,
-
-S the snapshot's response to the ranges, which the filter reaches within seconds, L (diagonal) the
-variances of lasting errors, and f the a-posteriori variance factor: chi-square per degree of
-freedom of the parity test over the last minute. An excess over 1 is multipath, and lasts.
+covariance of the position is f P + S L S' (docs/fdi.md, "The position's sigma").
 
 References
 ----------

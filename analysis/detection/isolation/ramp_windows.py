@@ -1,30 +1,8 @@
 """Ramp tests: growing faults, which the filter follows, and so hides, epoch by epoch.
 
-A fault of one satellite that grows since t_0 adds r (t - t_0) to its range. What that does to the
-filter is linear: with D the response of the estimated state, of every innovation g = e s - H D, and
-
-    D <- Phi D,  then  D <- D + K g,
-
-so c = sum g' M v and J = sum g' M g over the epochs since t_0 (M the inverse innovation covariance)
-give the fault's likeliest slope c / J and the likelihood ratio c^2 / J, chi-square(1) without a
-fault [1]_. This equals a bank of sub-filters of their own memory, each with one satellite's fault
-set free since t_0, without running them. Several windows start `STRIDE_S` apart.
-
-The innovations of a healthy satellite have an offset that stays for minutes (multipath, ephemeris,
-atmosphere). Each satellite's is learned as a first-order Gauss-Markov process, mean o and variance
-B, and the offset known when a window started is subtracted: with v - o in place of v and the rest
-of the offset marginalised,
-
-    J = J_rr - J_ro^2 / (J_oo + 1/B),   c = c_r - J_ro c_o / (J_oo + 1/B),
-
-and a natural slope of variance k makes the test c^2 / (J + k J^2). A faulty accelerometer or a
-wrong attitude shows as a constant acceleration: three more responses, the rival hypothesis.
-
-The innovations are never formed: with N, b and P+ of `information`, D_c the response of the states
-that are observed and gamma = A' inv(R) g = A' inv(R) e s - N D_c,
-
-    K g = P+_:c gamma,
-    g' M v = g' inv(R) v - gamma' P+_c b,   g' M g = g' inv(R) g - gamma' P+_c gamma.
+The likelihood ratio of each satellite's fault since the start of each window [1]_ equals that of a
+sub-filter with its own memory, without running one. The equations, with the satellites' offsets and
+the rival hypothesis, are in docs/fdi.md, "Ramp tests".
 
 References
 ----------

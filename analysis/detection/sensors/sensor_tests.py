@@ -1,19 +1,10 @@
 """Tests the other sensors with the navigation filter: barometer, airspeed, magnetometer, vision,
 range, and a receiver's own position and velocity.
 
-While the detector finds the IMU (or at least the satellites) healthy, its filter is the reference.
-Every sensor's newest sample is tested at each GNSS epoch, with the innovation v, and the variance
-of what the filter and the sensor's own slow states (an offset, the wind, the local field) leave
-uncertain:
-
-    v' inv(H_b P_b H_b' + R) v  is compared with chi-square(m),
-
-with a false-alarm probability of its own (`p_other`). A sensor that fails several times in a row is
-isolated until it has been healthy for `readmit_s`; its slow states are frozen meanwhile. One
-whose offset is again that of its first ten seconds has returned from a drift: it is healthy at
-once. Each sensor's prediction is in `sensor_models`.
-
-`NavigationDetector` contains the detector: it returns the results of both.
+While the detector finds its reference healthy, every sensor's newest sample is tested at each GNSS
+epoch (docs/fdi.md, "Other sensors"; predictions in `sensor_models`). The slow states of an isolated
+sensor are frozen; one whose offset is again that of its first ten seconds has returned from a
+drift, and is healthy at once.
 """
 
 import math
