@@ -57,9 +57,10 @@ class MotionModel:
 
     `theta` (AXES, TERMS) with covariances `p` (AXES, TERMS, TERMS); `mean` (AXES,) is m, `spread`
     (AXES, AXES) is C, `nonlinearity` (AXES,) the part of m that the linear model cannot predict;
-    `mean_terms` (TERMS,) are the terms that it is linear about; `error` and `doubt` (AXES,): e and
-    the variance of theta' x. `waiting` are terms, motion, m and its statistic of bins that wait for
-    learning, `bins` the number since the start.
+    `mean_terms` (TERMS,) are the terms that it is linear about, `learned_terms` their mean over all
+    `learned` bins; `error` and `doubt` (AXES,): e and the variance of theta' x. `waiting` are
+    terms, motion, m and its statistic of bins that wait for learning, `bins` the number since the
+    start.
     """
 
     effects: Effects
@@ -69,6 +70,8 @@ class MotionModel:
     spread: Vector = field(default_factory=lambda: FIRST_SPREAD * np.eye(AXES))
     nonlinearity: Vector = field(default_factory=lambda: np.zeros(AXES))
     mean_terms: Vector = field(default_factory=lambda: np.zeros(TERMS))
+    learned_terms: Vector = field(default_factory=lambda: np.zeros(TERMS))
+    learned: int = 0
     error: Vector = field(default_factory=lambda: np.zeros(AXES))
     doubt: Vector = field(default_factory=lambda: np.zeros(AXES))
     waiting: deque[tuple[Vector, Vector, Vector, float]] = field(default_factory=deque)
@@ -159,6 +162,8 @@ class MotionModel:
         self._predict(scaled, terms, motion)
         walk = _memory_share(CONSTANT_S, self.bins)
         self.mean_terms += walk * (terms - self.mean_terms)
+        self.learned += 1
+        self.learned_terms += (terms - self.learned_terms) / self.learned
         noise = NOISE_PER_SPREAD * np.diagonal(self.spread)
         variance = self.doubt + noise
         most = MOST_SIGMAS * np.sqrt(variance)

@@ -21,6 +21,7 @@ from analysis.detection.actuators.effects import (
     AXES,
     COMMANDS,
     CONSTANT,
+    DOWN,
     FORCE,
     FORWARD_BY_AIRSPEED,
     OUTPUT,
@@ -151,7 +152,7 @@ class ResponseRegression:
             explained, doubt = shared**2 / own, 0.0
             if i < COMMANDS:
                 effect = model.theta[:, OUTPUT + i].copy()
-                doubt = self._effect_variance(effect, model.p[:, OUTPUT + i, OUTPUT + i])
+                doubt = self._effect_variance(i, model)
                 effect[FORWARD_BY_AIRSPEED] = 0.0
                 along = (effect @ steady) ** 2 / (effect @ information @ effect)
                 held = self.shared[i] ** 2 / self.own[i] + TRIM_VARIANCES * along
@@ -166,11 +167,17 @@ class ResponseRegression:
         if self.learned_steps >= known and self.weight >= LEAST_STEPS:
             self._choose_hypothesis(self.square + float(self.error @ steady))
 
-    def _effect_variance(self, effect: Vector, variance: Vector) -> float:
+    def _effect_variance(self, i: int, model: MotionModel) -> float:
         """The variance of g due to the uncertainty of an actuator's effect."""
+        effect, variance = model.theta[:, OUTPUT + i], model.p[:, OUTPUT + i, OUTPUT + i]
         axis = int(np.argmax(effect**2 / np.diagonal(self.cov)))
-        known = effect[axis] != 0.0
-        return EFFECT_SIGMA**2 + (float(variance[axis] / effect[axis] ** 2) if known else 0.0)
+        if effect[axis] == 0.0:
+            return EFFECT_SIGMA**2
+        # Thrust grows with the square of the command, so a throttle's effect is as uncertain as its
+        # command is away from where it was learned.
+        learned = model.learned_terms[OUTPUT + i] if ANGULAR <= axis < DOWN else 0.0
+        moved = -self.signals[i, axis] / effect[axis] / learned - 1.0 if learned > 0.0 else 0.0
+        return EFFECT_SIGMA**2 + float(moved**2 + variance[axis] / effect[axis] ** 2)
 
     def _choose_hypothesis(self, total: float) -> None:
         """Choose the one that explains most of the `total`, and one that explains as much."""
