@@ -44,7 +44,7 @@ def speed(data: Path) -> None:
     x, p = np.zeros(21), np.eye(20)
     x[:3], x[6] = STATIC_TRUTH_M, 1.0
     steps = np.tile(np.r_[0.005, 0.1, 0.0, 0.0, 0.0, 0.0, -9.8], (2000, 1))
-    noise = detector.config.noise.densities
+    noise = detector.config.noise
     step_us = least_s(lambda: propagate_inertial(x, p, steps, noise)) / len(steps) * 1e6
     static_folder = data / "gnss_static"
     every = read_rinex_samples(static_folder / "SEPT078M.21O", static_folder / "SEPT078M.21P")

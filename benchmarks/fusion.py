@@ -96,7 +96,8 @@ def fused(
     state = fusion.new_state()
     found: list[FusedState] = []
     for sample, results, core in rows:
-        said, state = fusion.step(sample, results, core, state)
+        (piece,) = split_at_events(sample)
+        said, state = fusion.step(piece, results, core, state)
         found += [r for r in said if isinstance(r, FusedState)]
     return found
 
@@ -342,7 +343,7 @@ def timed(samples: list[Sample]) -> tuple[Vector, Vector]:
         for piece in split_at_events(block):
             results, detector_state = references.step_piece(piece, detector_state)
             middle = time.process_time()
-            found, state = fusion.step_piece(piece, results, detector_state.detector.core, state)
+            found, state = fusion.step(piece, results, detector_state.detector.core, state)
             said += found
             detecting, start = detecting + middle - start, time.process_time()
             fusing += start - middle

@@ -93,7 +93,7 @@ def judged(recording: Recording, lines: list[str]) -> Found:
     counts: dict[str, int] = {}
     for piece in split_at_events(read_rinex(recording.obs, recording.nav, None, lines)):
         results, detecting = references.step_piece(piece, detecting)
-        fused, fusing = fusion.step_piece(piece, results, detecting.detector.core, fusing)
+        fused, fusing = fusion.step(piece, results, detecting.detector.core, fusing)
         integrity.add(results)
         for result in (*results, *fused):
             if not isinstance(result, (Decision, FusedState)) or result.position_ecef_m is None:

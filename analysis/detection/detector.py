@@ -1,7 +1,8 @@
 """The detector: samples in, a decision for each GNSS epoch out."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import msgspec
 import numpy as np
@@ -14,7 +15,6 @@ from analysis.detection.detector_state import (
     EpochTiming,
 )
 from analysis.detection.filter.ephemerides import BroadcastData, unusable_reason
-from analysis.detection.filter.filter_state import PendingImu
 from analysis.detection.filter.measurement import EpochObservation
 from analysis.detection.filter.propagation import add_pending, split_pending, update_interval_s
 from analysis.detection.isolation.epoch_memory import NOTHING_FROZEN
@@ -37,6 +37,7 @@ from analysis.results import Result
 from analysis.samples.block import EPOCH, FIX, Block, BlockSlice, ImuRun, block_of, split_at_events
 from analysis.samples.sample import EphemerisSample, Epoch, GpsFix, IonosphereSample, Sample, Vector
 
+State = TypeVar("State")
 BRIDGED_SPACINGS = 2.5  # epochs that may be missing at the rate they come, whatever `reset_s`
 SPACING_JITTER = 0.2  # of a gap: a smaller change is jitter, not a new rate
 SPACING_MAX_US = 120_000_000  # after a longer gap the filter knows nothing of the motion
@@ -61,16 +62,7 @@ class Detector:
         self, samples: Sample | Block, state: DetectorState
     ) -> tuple[list[Result], DetectorState]:
         """The decisions on a block of samples, or on a single one, and the next state."""
-        results: list[Result] = []
-
-        # Called for each fix: whether it is needed may change within a block.
-        def wanted(t_us: int) -> bool:
-            return self.wants_fix(state.core, t_us)
-
-        for piece in split_at_events(samples, wanted):
-            more, state = self.step_piece(piece, state)
-            results += more
-        return results, state
+        return step_pieces(self.step_piece, samples, state)
 
     def step_piece(
         self, piece: BlockSlice, state: DetectorState
@@ -119,9 +111,9 @@ class Detector:
         self,
         epoch: Epoch,
         core: DetectorCore,
-        pending: PendingImu | None,
+        pending: ImuRun,
         mag_b: Vector | None,
-    ) -> tuple[list[Result], DetectorCore, PendingImu | None]:
+    ) -> tuple[list[Result], DetectorCore, ImuRun]:
         """The decisions on an epoch, the core after it, and the IMU's samples still pending."""
         before, excluded = core, core.trust.excluded
         observation, broadcast = observe(epoch, core.broadcast, self.config.systems)
@@ -220,6 +212,19 @@ class Detector:
         if core.motion is not None:
             results += clock_results(core.motion, core.history)
         return results, core
+
+
+def step_pieces(
+    step: Callable[[BlockSlice, State], tuple[list[Result], State]],
+    samples: Sample | Block,
+    state: State,
+) -> tuple[list[Result], State]:
+    """The results of a step on a block of samples, or on a single one, event by event."""
+    results: list[Result] = []
+    for piece in split_at_events(samples):
+        more, state = step(piece, state)
+        results += more
+    return results, state
 
 
 def run_detector(detector: Detector, samples: Iterable[Sample]) -> list[Result]:

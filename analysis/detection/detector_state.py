@@ -7,9 +7,9 @@ A part is defined in the package that it serves: `ImuStatus` and `BroadcastData`
 from typing import NamedTuple
 
 from analysis.detection.filter.ephemerides import BroadcastData
-from analysis.detection.filter.filter_state import ImuStatus, MotionEstimate, PendingImu
+from analysis.detection.filter.filter_state import ImuStatus, MotionEstimate
 from analysis.detection.filter.measurement import EpochObservation
-from analysis.detection.filter.propagation import ImuSegment, imu_segment
+from analysis.detection.filter.propagation import NO_RUN, ImuSegment, imu_segment
 from analysis.detection.isolation.epoch_memory import EpochMemory
 from analysis.detection.isolation.trust import Trust
 from analysis.detection.receiver.receiver_state import ReceiverState
@@ -67,5 +67,5 @@ class DetectorState(NamedTuple):
     """The core, the IMU's samples since the last epoch, and the newest magnetometer sample (3,)."""
 
     core: DetectorCore
-    pending: PendingImu | None = None
+    pending: ImuRun = NO_RUN
     mag_b: Vector | None = None

@@ -1,16 +1,8 @@
 """Protection levels: how far the position may be off at a stated integrity risk.
 
-By solution separation, as in advanced RAIM [1]_, about the detector's own position: whichever
-satellite, or entire system, may have an undetected fault, the snapshot that does not use it bounds
-the truth. With d_k the distance from the position to that snapshot and sigma_k what the
-snapshot's error may be without a fault,
-
-    level = max over k of |d_k| + K_k sigma_k,   Q(K_k) = risk / (3 axes, hypotheses, prior of k)
-
-No sigma of the filter is used. A hypothesis that leaves too few satellites makes the level unknown;
-a fault of the only system in use is not observable and not covered, nor is one of all systems
-together: each decision with levels says what they assume. With C = inv(A'WA)
-and g = C a, a satellite's snapshot is a change of rank one [2]_:
+By solution separation, as in advanced RAIM [1]_, about the detector's own position; docs/fdi.md
+says what they assume. A satellite's snapshot is a change of rank one [2]_ of that of all, x with
+C = inv(A'WA): with g = C a,
 
     C_k = C + w g g' / (1 - w a'g),   x_k = x - w g (v - a'x) / (1 - w a'g).
 

@@ -19,6 +19,7 @@ from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.fusion_state import FusionState
 from analysis.fusion.smoother import Fusion
 from analysis.results import Decision, FusedState
+from analysis.samples.block import split_at_events
 from analysis.samples.sample import ImuSample, Sample, Vector
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
@@ -74,13 +75,14 @@ class FusedAttitude:
                 state.rates.append((reading.t_us, reading.gyro_b_rps, dt_s))
                 state.q_nb = _rotate_by(state.q_nb, reading.gyro_b_rps - state.bias_rps, dt_s)
             state.t_us = reading.t_us
-        results, state.detector = self._references.step(reading, state.detector)
+        (piece,) = split_at_events(reading)
+        results, state.detector = self._references.step_piece(piece, state.detector)
         decision = next((result for result in results if isinstance(result, Decision)), None)
         motion = state.detector.detector.core.motion
         if decision is not None and decision.mode == "start" and motion is not None:
             self._align_detector(motion, state)
         core = state.detector.detector.core
-        fused, state.fusion = self._fusion.step(reading, results, core, state.fusion)
+        fused, state.fusion = self._fusion.step(piece, results, core, state.fusion)
         for result in fused:
             if isinstance(result, FusedState):
                 self._adopt(result, state)

@@ -1,6 +1,5 @@
 """State of the fusion step, and its input of one epoch."""
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from analysis.detection.detector_state import DetectorCore, EpochRecord
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.propagation import PENDING_MAX
+from analysis.detection.filter.propagation import NO_RUN, add_pending
 from analysis.detection.values import Value
 from analysis.fusion.factors.sensor_factors import SensorFactors
 from analysis.fusion.graph import Graph
@@ -16,8 +15,6 @@ from analysis.fusion.learned_noise import LearnedNoise
 from analysis.results import Decision, FusedState, Result
 from analysis.samples.block import ATTITUDE, IMU, TRUTH, ImuRun, Indices
 from analysis.samples.sample import Sample
-
-NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
 
 
 class FusionEpoch(Value, frozen=True):
@@ -45,14 +42,13 @@ class FusionEpoch(Value, frozen=True):
 class FusionState:
     """State of the fusion; changed in place, as GTSAM's smoother in it is.
 
-    `imu` and `pending` are runs and samples for the next epoch, `noise` the noise learned in
+    `imu` and `pending` are samples for the next epoch, `noise` the noise learned in
     flight. `excluded` and `isolated` were left out of the last epoch. `attitude_lost`: the IMU was
     missing since the attitude was known; `imu_suspect_us`: since when the IMU has been suspicious.
     `notes` are for the next result's reason.
     """
 
-    imu: deque[ImuRun] = field(default_factory=deque)
-    imu_count: int = 0  # samples in `imu`
+    imu: ImuRun = NO_RUN
     pending: dict[str, Sample] = field(default_factory=dict)
     graph: Graph | None = None
     sensor_factors: SensorFactors | None = None
@@ -66,36 +62,23 @@ class FusionState:
 
     def add_imu(self, run: ImuRun) -> None:
         """Add IMU samples: those before the graph's newest epoch go into the graph, the rest wait
-        for the next epoch. If more than `PENDING_MAX` wait, the oldest are dropped."""
-        if self.graph is not None and (run.t_us <= self.graph.node.t_us).any():
-            late = run.t_us <= self.graph.node.t_us
+        for the next epoch."""
+        if self.graph is not None and (late := run.t_us <= self.graph.node.t_us).any():
             for t_us, row in zip(run.t_us[late].tolist(), run.values[late], strict=True):
                 self.graph.add_late_imu(t_us, row)
             run = ImuRun(run.t_us[~late], run.values[~late])
-        if len(run.t_us):
-            self.imu.append(run)
-            self.imu_count += len(run.t_us)
-        # Without epochs they are never used, and memory would grow without bound.
-        while self.imu_count > PENDING_MAX and len(self.imu) > 1:
-            self.imu_count -= len(self.imu.popleft().t_us)
+        self.imu = add_pending(run, self.imu)
 
     def imu_until(self, until_us: int) -> ImuRun:
-        """The samples up to a time as one run, in order of time."""
-        stamps = np.concatenate([NO_RUN.t_us, *(one.t_us for one in self.imu)])
-        values = np.concatenate([NO_RUN.values, *(one.values for one in self.imu)])
-        # In order of time, each stamp once: late runs may overlap others.
-        stamps, first = np.unique(stamps, return_index=True)
+        """The samples up to a time, in order of time, each stamp once: late runs may overlap."""
+        stamps, first = np.unique(self.imu.t_us, return_index=True)
         end = int(np.searchsorted(stamps, until_us, side="right"))
-        return ImuRun(stamps[:end], values[first[:end]])
+        return ImuRun(stamps[:end], self.imu.values[first[:end]])
 
     def drop_imu_until(self, until_us: int) -> None:
         """Drop the samples up to a time."""
-        runs, self.imu, self.imu_count = self.imu, deque(), 0
-        for run in runs:
-            later = run.t_us > until_us
-            if later.any():
-                self.imu.append(ImuRun(run.t_us[later], run.values[later]))
-                self.imu_count += int(later.sum())
+        later = self.imu.t_us > until_us
+        self.imu = ImuRun(self.imu.t_us[later], self.imu.values[later])
 
 
 def sample_rows(kind: Indices, first: int, last: int) -> Indices:

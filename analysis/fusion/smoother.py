@@ -13,7 +13,7 @@ from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import X_ISB
 from analysis.detection.filter.measurement import observe_epoch
 from analysis.detection.filter.process_noise import ProcessNoise
-from analysis.detection.filter.propagation import ImuSegment, imu_run_of
+from analysis.detection.filter.propagation import ImuSegment
 from analysis.fusion.factors.factor_weights import (
     faulty_rates,
     isolated_sensors,
@@ -37,7 +37,7 @@ from analysis.fusion.graph_start import (
 from analysis.fusion.imu_edge import Edge, segment_between
 from analysis.results import Decision, FusedState, Result, SensorDecision
 from analysis.samples.block import BlockSlice
-from analysis.samples.sample import Epoch, ImuSample, Sample
+from analysis.samples.sample import Epoch, Sample
 
 GOOD_ATTITUDE_RAD = 0.1  # with a smaller sigma the attitude needs no help from the detector
 IMU_SUSPECT_SHARE = 0.5  # of the threshold: an isolated IMU's factors are removed from here on
@@ -58,37 +58,23 @@ class Fusion:
         """The fusion's state before the first sample."""
         return FusionState()
 
-    def step_piece(
+    def step(
         self, piece: BlockSlice, results: Sequence[Result], core: DetectorCore, state: FusionState
     ) -> tuple[list[Result], FusionState]:
-        """Like `step`, for the samples up to an event and the event's results."""
+        """The fused states of samples up to an event, and the next state, which is changed in
+        place; `results` and `core` are the detector's at the event."""
         state.add_imu(piece.imu if core.imu.id is None else piece.of_imu(core.imu.id))
         states: list[Result] = []
         for row in sample_rows(piece.block.kind, piece.first, piece.last).tolist():
             of_row = results if row == piece.last else ()
-            fused, state = self.step(piece.block.sample(row), of_row, core, state)
+            fused, state = self._step_sample(piece.block.sample(row), of_row, core, state)
             states += fused
         return states, state
 
-    def step(
+    def _step_sample(
         self, sample: Sample, results: Sequence[Result], core: DetectorCore, state: FusionState
     ) -> tuple[list[Result], FusionState]:
-        """Process one sample; returns the fused state at an epoch, and the next state.
-
-        Parameters
-        ----------
-        sample : Sample
-        results : sequence of Result
-            Results of the detector and the tests of other sensors for this sample.
-        core : Core
-            The detector's state after it: the graph's initial state, and the orbits in use.
-        state : FusionState
-            Changed in place.
-        """
-        if type(sample) is ImuSample:
-            if core.imu.id is None or core.imu.id == sample.id:
-                state.add_imu(imu_run_of([sample]))
-            return [], state
+        """Process one sample; returns the fused state at an epoch, and the next state."""
         decision = next((result for result in results if isinstance(result, Decision)), None)
         graph, source = state.graph, SOURCE_NAMES.get(type(sample))
         # Older than the newest node: it belongs between older ones.

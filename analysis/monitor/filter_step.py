@@ -42,15 +42,12 @@ class FilterStep:
     ) -> tuple[list[tuple[int, Result]], FilterState]:
         """The results of the next samples, each with its row of the block, and the next state."""
         navigation, states = state[0], list(state[1])
-        if not self._fusions:
-            found, navigation = self._navigation.step_rows(block, navigation)
-            return found, (navigation, states)
-        found = []
+        found: list[tuple[int, Result]] = []
         for piece in split_at_events(block):
             results, navigation = self._navigation.step_piece(piece, navigation)
             core, fused = navigation.detector.core, list[Result]()
             for i, fusion in enumerate(self._fusions):
-                solutions, states[i] = fusion.step_piece(piece, results, core, states[i])
+                solutions, states[i] = fusion.step(piece, results, core, states[i])
                 fused += solutions
             if fused and self._feed_back is not None:
                 # From the first fusion: the second is there for comparison only.

@@ -13,7 +13,7 @@ import numpy as np
 
 from analysis.detection import DetectorConfig
 from analysis.detection.actuators.actuator_detector import ActuatorDetector
-from analysis.detection.actuators.alarm_precedence import FOREVER_US, apply_precedence
+from analysis.detection.actuators.alarm_precedence import FOREVER_US, AlarmPrecedence
 from analysis.detection.actuators.effects import Effects, unknown_effects
 from analysis.detection.actuators.imu_hold_out import hold_out_until, trusted_rows, withdraw_silence
 from analysis.detection.actuators.tumble import TumbleState, track_tumble
@@ -21,6 +21,7 @@ from analysis.detection.compass.earth_field_detector import EarthFieldDetector
 from analysis.detection.compass.mean_turn_detector import MeanTurnDetector
 from analysis.detection.compass.turn_detector import TurnDetector
 from analysis.detection.detector_registry import BlockDetector, other_detectors
+from analysis.detection.receiver.receiver_or_imu import UNDECIDED
 from analysis.detection.sensors.instance_vote import InstanceVoteDetector
 from analysis.detection.sensors.jamming_detector import JammingDetector
 from analysis.detection.sensors.level_detector import LevelDetector
@@ -116,7 +117,7 @@ def monitor_config(values: Any, where: str, lines: Lines | None = None) -> Monit
 
 
 class Pipeline:
-    """The steps and their states; `alarms` are those of each detector before `apply_precedence`."""
+    """The steps and their states; `alarms` are those of each detector before `AlarmPrecedence`."""
 
     def __init__(self, config: MonitorConfig) -> None:
         self._attitude = AttitudeScorer(config.attitude)
@@ -131,7 +132,9 @@ class Pipeline:
         self._lost_us: Sequence[tuple[int, int]] = ()
         self._tumble = TumbleState()
         self._held_out_us = NEVER_US  # until when the filter does without the IMU
-        self._imu_us = NEVER_US  # when the IMU was isolated last
+        # What the actuators are tested with; the effects of wings depend on the airspeed.
+        sources = ["imu", UNDECIDED, *(["airspeed"] if config.actuators.powers.any() else [])]
+        self._precedence = AlarmPrecedence(dict.fromkeys(sources, NEVER_US))
 
     def set_log_gaps(self, lost_us: Sequence[tuple[int, int]]) -> None:
         """Ignore silences during and just after times in which a log's writer lost records."""
@@ -162,7 +165,7 @@ class Pipeline:
         actuators = self.states[ACTUATORS]
         if actuators is not None or lost.any():
             crash_us = FOREVER_US if actuators is None else actuators.crash_us
-            results, self._imu_us = apply_precedence(results, crash_us, lost, self._imu_us)
+            results = self._precedence.apply(results, crash_us, lost)
         return results
 
     def _filtered(

@@ -267,21 +267,9 @@ class BlockSlice(NamedTuple):
         return ImuRun(self.imu.t_us[mine], self.imu.values[mine])
 
 
-def count_every_fix(t_us: int) -> bool:
-    """The default of `split_at_events`: every fix is an event."""
-    return True
-
-
-def split_at_events(
-    samples: Sample | Block, counts: Callable[[int], bool] = count_every_fix
-) -> Iterator[BlockSlice]:
-    """Split a block, or a single sample, after each event.
-
-    `counts` decides by its timestamp if a fix is an event; called once the slice before is
-    processed.
-    """
+def split_at_events(samples: Sample | Block) -> Iterator[BlockSlice]:
+    """Split a block, or a single sample, after each event."""
     block = samples if isinstance(samples, Block) else block_of(samples)
-    last_row = len(block.kind) - 1
     imu, ends, mags, cuts = _find_slices(block.kind)
     run = ImuRun(block.t_us[imu], block.values[imu, :IMU_ID])
     # A block nearly always comes from one IMU; then no rows need to be selected.
@@ -290,9 +278,6 @@ def split_at_events(
     columns = ends, mags, cuts, block.kind[ends], block.t_us[ends]
     first = a = 0
     for last, mag_row, b, kind, t_us in zip(*(c.tolist() for c in columns), strict=True):
-        # The last row ends the block, event or not.
-        if kind == FIX and last < last_row and not counts(t_us):
-            continue
         samples_of_imu = ImuRun(run.t_us[a:b], run.values[a:b])
         # A magnetometer sample before this slice belongs to an earlier one.
         newest = mag_row if mag_row >= first else -1

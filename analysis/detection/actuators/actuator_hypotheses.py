@@ -1,14 +1,7 @@
-"""Finds the actuator whose deficit explains the motion residual.
+"""Finds the actuator whose deficit explains the motion residual (docs/fdi.md, "Actuators").
 
 Actuator i, which does less than its command by g, leaves the mean residual m = -b_i g, where b_i is
-its column of coefficients. V is the covariance of m without a fault. The hypothesis adds the
-uncertainty of b_i, g^2 var(b_i), and leaves
-
-    q_i = min over g of (m + b_i g)' inv(V_i) (m + b_i g),   score s_i = q_i + ln det V_i,
-
-to be compared with q_0 = m' inv(V) m of no hypothesis. A hypothesis is accepted if its score is far
-better, the remainder fits, and the deficit is large enough to matter. The actuator is isolated if
-its score is also clearly better than the next one's; otherwise both are named (two ailerons).
+its column of coefficients. If two explain it equally, both are named (two ailerons).
 """
 
 from typing import NamedTuple

@@ -1,63 +1,68 @@
-"""Which verdicts count when sensors and actuators seem faulty at the same time.
-
-Actuators are tested with the IMU, so none is isolated while the IMU is, nor for a while after.
-After a crash that an actuator caused, sensor verdicts are void: an impact of many g exceeds an
-IMU's range, and so does a tumble faster than its gyro's range.
-"""
+"""Which verdicts count when sensors and actuators seem faulty at once (docs/watches.md)."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.results import Decision, Result, SensorDecision
+from analysis.results import OR_SEPARATOR, Decision, Result, SensorDecision
+from analysis.samples.block import NEVER_US
 
 ACTUATORS = "actuators"  # their `sensor` in results
-IMU_US = 20_000_000  # after an IMU alarm: its hold time and the time to learn the model again
+# After a sensor was isolated that they are tested with: its hold time, and the time to learn the
+# model again
+RELEARNED_US = 20_000_000
+REPEATED_US = 1_500_000  # an alarm that lasts is repeated within it
 FOREVER_US = 1 << 62  # later than any stamp
 IMPACT_MPS2 = 100.0  # 10 g: more than any manoeuvre
-CRASHED, IMU_AT_FAULT = "after a crash", "the IMU is at fault"
+CRASHED = "after a crash"
 TUMBLING = "turns faster than the gyro's range"
 
 
-def apply_precedence(
-    rows: Iterable[tuple[int, Result]], crash_us: int, tumbling: NDArray[np.bool_], imu_us: int
-) -> tuple[list[tuple[int, Result]], int]:
-    """The results that count, by row in order, and when the IMU was isolated last.
+@dataclass(slots=True)
+class AlarmPrecedence:
+    """When each source that the actuators are tested with was found faulty last, by its hypothesis,
+    and the newest alarm of an actuator that counted."""
 
-    Parameters
-    ----------
-    rows : iterable of row and result
-        In the order of their rows.
-    crash_us : int
-        Time of the vehicle's crash.
-    tumbling : array
-        Whether the attitude is lost at each row, shape (n,).
-    imu_us : int
-        When the IMU was isolated last, before these rows.
-    """
-    results: list[tuple[int, Result]] = []
-    for row, result in rows:
-        changed = result
-        if result.t_us >= crash_us:
-            changed = _without_sensor_verdict(result, CRASHED)
-        elif tumbling[row]:
-            changed = _without_sensor_verdict(result, TUMBLING)
-        if _isolates_imu(changed):
-            imu_us = changed.t_us
-        elif isinstance(changed, SensorDecision) and changed.sensor == ACTUATORS and changed.alarm:
-            changed = (
-                _untested(changed, IMU_AT_FAULT) if changed.t_us - imu_us < IMU_US else changed
-            )
-        results.append((row, changed))
-    return results, imu_us
+    faulty_us: dict[str, int]
+    actuator_us: int = NEVER_US
+
+    def apply(
+        self, rows: Iterable[tuple[int, Result]], crash_us: int, tumbling: NDArray[np.bool_]
+    ) -> list[tuple[int, Result]]:
+        """The results that count, by row in order.
+
+        The vehicle crashed at `crash_us`; `tumbling` (n,) says where the attitude is lost.
+        """
+        results: list[tuple[int, Result]] = []
+        for row, result in rows:
+            if result.t_us >= crash_us:
+                result = _without_sensor_verdict(result, CRASHED)
+            elif tumbling[row]:
+                result = _without_sensor_verdict(result, TUMBLING)
+            if (found := _isolated_source(result)) in self.faulty_us:
+                self.faulty_us[found] = result.t_us
+            elif isinstance(result, SensorDecision) and result.sensor == ACTUATORS and result.alarm:
+                result = self._actuator_alarm(result)
+            results.append((row, result))
+        return results
+
+    def _actuator_alarm(self, alarm: SensorDecision) -> SensorDecision:
+        # A faulty actuator puts the IMU in doubt itself: what was isolated before stays isolated.
+        is_new = alarm.t_us - self.actuator_us > REPEATED_US
+        for source, at_us in self.faulty_us.items():
+            if alarm.t_us - at_us < RELEARNED_US and (is_new or OR_SEPARATOR not in source):
+                return _untested(alarm, f"{source} is at fault")
+        self.actuator_us = alarm.t_us
+        return alarm
 
 
-def _isolates_imu(result: Result) -> bool:
-    if isinstance(result, SensorDecision):
-        return result.sensor == "imu" and result.isolated
-    return isinstance(result, Decision) and result.alarm and result.hypothesis == "imu"
+def _isolated_source(result: Result) -> str:
+    if isinstance(result, Decision):
+        return result.hypothesis if result.alarm else ""
+    return result.sensor if isinstance(result, SensorDecision) and result.isolated else ""
 
 
 def _without_sensor_verdict(result: Result, reason: str) -> Result:

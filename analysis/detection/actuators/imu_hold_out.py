@@ -1,9 +1,4 @@
-"""Keeps an IMU that other detectors found faulty out of the navigation filter.
-
-Disagreeing IMUs, repeated values and a disagreement with the compass are detected within a second
-or two without the filter. If the filter had used such an IMU, it would exclude the receiver for
-long.
-"""
+"""Keeps an IMU that other detectors found faulty out of the navigation filter (docs/watches.md)."""
 
 from collections.abc import Iterable, Sequence
 

@@ -1,13 +1,7 @@
-"""Learns the coefficients of the motion in flight: one Kalman filter per axis.
+"""Learns the coefficients of the motion in flight: one Kalman filter per axis [1]_.
 
-The terms x of a bin predict the motion of each axis as theta' x. theta is constant except for its
-first element, the constant term, which follows a random walk, as trim, load and steady wind change.
-The mean of the residual e over a short memory is m. The covariance C of m is learned from its own
-past, so that lasting gusts and model errors are accounted for; e is taken as white, with the noise
-that would give m its observed variance.
-
-A bin is used for learning only some bins later, and only if no fault was suspected meanwhile:
-otherwise a fault would become part of the model before it is detected [1]_.
+The terms x of a bin predict the motion of each axis as theta' x; m is the mean of the residual e,
+and its covariance C is learned from its own past (docs/fdi.md, "Actuators").
 
 References
 ----------
@@ -63,9 +57,10 @@ class MotionModel:
 
     `theta` (AXES, TERMS) with covariances `p` (AXES, TERMS, TERMS); `mean` (AXES,) is m, `spread`
     (AXES, AXES) is C, `nonlinearity` (AXES,) the part of m that the linear model cannot predict;
-    `mean_terms` (TERMS,) are the terms that it is linear about; `error` and `doubt` (AXES,): e and
-    the variance of theta' x. `waiting` are terms, motion, m and its statistic of bins that wait for
-    learning, `bins` the number since the start.
+    `mean_terms` (TERMS,) are the terms that it is linear about, `learned_terms` their mean over all
+    `learned` bins; `error` and `doubt` (AXES,): e and the variance of theta' x. `waiting` are
+    terms, motion, m and its statistic of bins that wait for learning, `bins` the number since the
+    start.
     """
 
     effects: Effects
@@ -75,6 +70,8 @@ class MotionModel:
     spread: Vector = field(default_factory=lambda: FIRST_SPREAD * np.eye(AXES))
     nonlinearity: Vector = field(default_factory=lambda: np.zeros(AXES))
     mean_terms: Vector = field(default_factory=lambda: np.zeros(TERMS))
+    learned_terms: Vector = field(default_factory=lambda: np.zeros(TERMS))
+    learned: int = 0
     error: Vector = field(default_factory=lambda: np.zeros(AXES))
     doubt: Vector = field(default_factory=lambda: np.zeros(AXES))
     waiting: deque[tuple[Vector, Vector, Vector, float]] = field(default_factory=deque)
@@ -165,6 +162,8 @@ class MotionModel:
         self._predict(scaled, terms, motion)
         walk = _memory_share(CONSTANT_S, self.bins)
         self.mean_terms += walk * (terms - self.mean_terms)
+        self.learned += 1
+        self.learned_terms += (terms - self.learned_terms) / self.learned
         noise = NOISE_PER_SPREAD * np.diagonal(self.spread)
         variance = self.doubt + noise
         most = MOST_SIGMAS * np.sqrt(variance)

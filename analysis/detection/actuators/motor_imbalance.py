@@ -1,12 +1,8 @@
 """Detects a motor that needs a larger command than before relative to the others.
 
-Where commands are logged only ten times a second, their values in between are unknown and cannot be
-compared with the motion. Their means over a second can be compared with each other, though. A
-quad's four motors serve four demands, so its controller can keep it level only by raising the
-command of a motor that lost power by just that share, and leaving the other three unchanged. With y
-the outputs above their mean, divided by the motors' mean rise above their ground value, a motor i
-that is raised by g changes the mean of y by m = g (e_i - 1/4). Other causes leave a remainder: wind
-and loads tilt the vehicle, which raises two motors and lowers two.
+For commands that are too sparse to be compared with the motion (docs/watches.md): with y the
+outputs above their mean, divided by the motors' mean rise above their ground value, a motor i that
+is raised by g changes the mean of y by m = g (e_i - 1/4), and leaves the other three unchanged.
 """
 
 import math

@@ -2,15 +2,7 @@
 
 An actuator that lost a share g of its effect, or is stuck (g = 1), falls short by that share of
 every movement. Each step of half a second gives the residual e of the motion, and the signal s that
-a hypothesis predicts in it: for actuator i the modelled effect of its command, reversed; for a
-shifted load a moment about y proportional to the force along z; for a faulty pitot tube the
-modelled effect of the airspeed. With a trim that walks by a few V beside noise of covariance V,
-
-    e = g s + trim + noise,   A = sum s' inv(V) s,   g = sum s' inv(V) e / A,   r = g^2 A,
-
-where the sums extend over some seconds and r is the part of sum e' inv(V) e that the hypothesis
-explains. A stuck actuator may also push by a constant. The variance of g is 1 / A plus the
-uncertainty of the effect itself.
+a hypothesis predicts in it; docs/fdi.md, "Actuators", has the sums.
 """
 
 from dataclasses import dataclass, field
@@ -29,6 +21,7 @@ from analysis.detection.actuators.effects import (
     AXES,
     COMMANDS,
     CONSTANT,
+    DOWN,
     FORCE,
     FORWARD_BY_AIRSPEED,
     OUTPUT,
@@ -159,7 +152,7 @@ class ResponseRegression:
             explained, doubt = shared**2 / own, 0.0
             if i < COMMANDS:
                 effect = model.theta[:, OUTPUT + i].copy()
-                doubt = self._effect_variance(effect, model.p[:, OUTPUT + i, OUTPUT + i])
+                doubt = self._effect_variance(i, model)
                 effect[FORWARD_BY_AIRSPEED] = 0.0
                 along = (effect @ steady) ** 2 / (effect @ information @ effect)
                 held = self.shared[i] ** 2 / self.own[i] + TRIM_VARIANCES * along
@@ -174,11 +167,17 @@ class ResponseRegression:
         if self.learned_steps >= known and self.weight >= LEAST_STEPS:
             self._choose_hypothesis(self.square + float(self.error @ steady))
 
-    def _effect_variance(self, effect: Vector, variance: Vector) -> float:
+    def _effect_variance(self, i: int, model: MotionModel) -> float:
         """The variance of g due to the uncertainty of an actuator's effect."""
+        effect, variance = model.theta[:, OUTPUT + i], model.p[:, OUTPUT + i, OUTPUT + i]
         axis = int(np.argmax(effect**2 / np.diagonal(self.cov)))
-        known = effect[axis] != 0.0
-        return EFFECT_SIGMA**2 + (float(variance[axis] / effect[axis] ** 2) if known else 0.0)
+        if effect[axis] == 0.0:
+            return EFFECT_SIGMA**2
+        # Thrust grows with the square of the command, so a throttle's effect is as uncertain as its
+        # command is away from where it was learned.
+        learned = model.learned_terms[OUTPUT + i] if ANGULAR <= axis < DOWN else 0.0
+        moved = -self.signals[i, axis] / effect[axis] / learned - 1.0 if learned > 0.0 else 0.0
+        return EFFECT_SIGMA**2 + float(moved**2 + variance[axis] / effect[axis] ** 2)
 
     def _choose_hypothesis(self, total: float) -> None:
         """Choose the one that explains most of the `total`, and one that explains as much."""

@@ -1,9 +1,6 @@
 """Detects motors whose output is switched off in flight; no controller does that.
 
-An output that rose at take-off drives a motor. A flying controller keeps it above its value on the
-ground; it returns there only if something else takes the output over. A landing or an emergency
-stop takes all motors at once, and isolates none; nor does a winged vehicle that parks three or
-more.
+An output that rose at take-off drives a motor; docs/watches.md has the rules.
 """
 
 from dataclasses import dataclass, field

@@ -1,8 +1,7 @@
-"""Detects a tumble that is faster than the gyro's range.
+"""Detects a tumble that is faster than the gyro's range (docs/watches.md).
 
-A gyro at the end of its range repeats its value while the body turns on. The tumble is real if the
-compass turns too; a faulty gyro repeats its value as well, but nothing else moves. After a tumble
-the attitude is lost, which voids the tests; after an impact, for the rest of the flight.
+A saturated gyro repeats its value while the body turns on. The attitude is lost after a tumble,
+which voids the tests; after an impact, for the rest of the flight.
 """
 
 import math

@@ -1,8 +1,7 @@
 """Compares the compass with the World Magnetic Model at the first fix, without filter or attitude.
 
-Detectors that know only a sensor's past accept a compass that was wrong from the start. The field's
-size, and its angle to gravity, are means over a second. The angle is tested only while the specific
-force has the size of gravity, that is not in turns or climbs.
+Detectors that know only a sensor's past accept a compass that was wrong from the start
+(docs/watches.md, "The Earth's field").
 """
 
 import math

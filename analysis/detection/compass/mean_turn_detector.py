@@ -1,14 +1,8 @@
 """Compares the mean turns of compass and gyro, works for slowly logged gyros too.
 
-A field of direction u that does not turn itself moves in the body by du = -w x u dt, w the rates.
-Between two compass samples the gyro turns the body by a small angle a, so that
-
-    r = u_2 - u_1 + a x (u_1 + u_2) / 2
-
-is noise if both are healthy. Vibration cancels in its sum, however sparsely it was sampled; a gyro
-bias does not. The sum of five seconds, as a rate, is compared with its own past. A compass that is
-falsified at once makes a single large r that persists. `turn_detector` detects what it can within a
-second or two, but has to integrate, which fails for a slowly logged gyro under vibration.
+Between two compass samples the residual r of the field's direction, turned by the gyro's small
+angle, is noise if both are healthy, and vibration cancels in its sum (docs/watches.md, "Compass and
+gyro"). A compass that is falsified at once makes a single large r that persists.
 """
 
 import math

@@ -1,12 +1,9 @@
 """Detects compass and gyro that turn differently, without filter or attitude.
 
 A gyro bias about the vertical turns the heading and nothing else: neither the ranges of a hovering
-vehicle nor the size of the field show it.
-
-The integrated gyro rates transform the measured field into a frame that does not rotate; there the
-field is constant while both sensors are healthy. Its means over half a second are compared with
-those of four seconds before. A poorly calibrated compass errs more the further it has turned, which
-the limit allows for. The smaller turn of the two sets it: the larger may be the fault's.
+vehicle nor the size of the field show it. In the frame of the integrated gyro the field is constant
+(docs/watches.md, "Compass and gyro"). The smaller turn of the two sets the limit: the larger may be
+the fault's.
 """
 
 import math

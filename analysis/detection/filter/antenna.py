@@ -1,12 +1,7 @@
 """The antenna's lever arm: the filter's position and velocity are the antenna's at every epoch.
 
-The IMU propagates the filter from one epoch to the next at its own position. With l the arm from
-IMU to antenna in body axes, w the rate of the body against the earth and C from body to ECEF,
-
-    r_a = r + C l,                  dr_a = dr - [C l]x psi
-    v_a = v + C (w x l),            dv_a = dv - [C (w x l)]x psi + C [l]x db_g
-
-(Groves, Principles of GNSS, Inertial and Multisensor Integrated Navigation, 2nd ed., 14.3.1).
+The IMU propagates the filter from one epoch to the next at its own position (docs/fdi.md, "Filter";
+Groves, Principles of GNSS, Inertial and Multisensor Integrated Navigation, 2nd ed., 14.3.1).
 """
 
 import numpy as np

@@ -1,19 +1,9 @@
-"""State of the filter between epochs: motion, attitude search, unused IMU samples."""
+"""State of the filter between epochs: motion, attitude search, the IMU in use."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from analysis.detection.values import Value
-from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
-
-
-class PendingImu(NamedTuple):
-    """IMU samples not yet used, the newest run first; `depth` counts them, as memory is bounded."""
-
-    run: ImuRun
-    older: "PendingImu | None"
-    depth: int
 
 
 @dataclass(frozen=True, slots=True)

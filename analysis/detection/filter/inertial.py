@@ -24,7 +24,7 @@ from functools import cache
 
 import numpy as np
 
-from analysis.detection.filter.process_noise import NoiseDensities
+from analysis.detection.filter.process_noise import ProcessNoise
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import (
@@ -44,6 +44,12 @@ DT, GYRO, ACCEL, SAMPLE_COLUMNS = 0, 1, 4, 7  # columns of a sample, and how man
 GYRO_BIAS_SIGMA_RPS, ACCEL_BIAS_SIGMA_MPS2 = 0.02, 0.3
 COVARIANCE_STEP_S = 0.25  # at most propagated at once: exact but for the third power
 SPARSE_SAMPLE_S = 0.03  # in longer steps force and rates may have changed unmeasured
+
+
+def set_unknown_attitude(p: Vector) -> None:
+    """Set the variances of an unknown attitude and of the biases at power-on in p (20, 20)."""
+    for at, sigma in ((PSI, 3.0), (BG, GYRO_BIAS_SIGMA_RPS), (BA, ACCEL_BIAS_SIGMA_MPS2)):
+        p[range(at, at + 3), range(at, at + 3)] = sigma**2
 
 
 def gravity_ecef(r: Vector) -> Vector:
@@ -197,7 +203,7 @@ def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> int:
 
 
 def propagate_inertial(
-    x: Vector, p: Vector, samples: Vector, noise: NoiseDensities
+    x: Vector, p: Vector, samples: Vector, noise: ProcessNoise
 ) -> tuple[Vector, Vector, Vector]:
     """State and covariance over a run of IMU samples.
 
@@ -208,7 +214,7 @@ def propagate_inertial(
     ----------
     x, p : (21,) and (20, 20)
     samples : (k, 7), each the length of its step in s, rates (3) and specific force (3)
-    noise : squared densities
+    noise : its densities
 
     Returns
     -------
@@ -243,27 +249,28 @@ def unmeasured_variances(samples: Vector) -> Vector | None:
 
 
 @cache
-def _noise_rates(noise: NoiseDensities, inertial: bool) -> tuple[Vector, Vector]:
+def _noise_rates(noise: ProcessNoise, inertial: bool) -> tuple[Vector, Vector]:
     """Process noise: the IMU's per second (20, 20), and all other by powers of the time, first to
     third (3, 20, 20), that of free motion included unless `inertial`."""
     imu, other, axes = np.zeros(ERROR_SIZE), np.zeros((3, ERROR_SIZE, ERROR_SIZE)), np.arange(3)
-    imu[V:PSI], imu[PSI:BG] = noise.accel_mps2, noise.gyro_rps
-    imu[BG:BA], imu[BA:CLOCK] = noise.gyro_walk, noise.accel_walk
+    imu[V:PSI], imu[PSI:BG] = noise.accel_mps2**2, noise.gyro_rps**2
+    imu[BG:BA], imu[BA:CLOCK] = noise.gyro_walk**2, noise.accel_walk**2
     # White noise of the drift's rate, integrated twice, once and not at all.
-    other[2, CLOCK, CLOCK] = noise.drift_mps / 3.0
-    other[1, CLOCK, DRIFT] = other[1, DRIFT, CLOCK] = noise.drift_mps / 2.0
-    other[0, CLOCK, CLOCK], other[0, DRIFT, DRIFT] = noise.clock_m, noise.drift_mps
-    other[0, range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] = noise.isb_m
+    drift, motion = noise.drift_mps**2, noise.motion_mps2**2
+    other[2, CLOCK, CLOCK] = drift / 3.0
+    other[1, CLOCK, DRIFT] = other[1, DRIFT, CLOCK] = drift / 2.0
+    other[0, CLOCK, CLOCK], other[0, DRIFT, DRIFT] = noise.clock_m**2, drift
+    other[0, range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] = noise.isb_m**2
     if not inertial:
         # Random acceleration, integrated to position and velocity. The biases keep walking.
-        other[2, R + axes, R + axes] = noise.motion_mps2 / 3.0
-        other[1, R + axes, V + axes] = other[1, V + axes, R + axes] = noise.motion_mps2 / 2.0
-        other[0, V + axes, V + axes] = noise.motion_mps2
+        other[2, R + axes, R + axes] = motion / 3.0
+        other[1, R + axes, V + axes] = other[1, V + axes, R + axes] = motion / 2.0
+        other[0, V + axes, V + axes] = motion
         imu[:BG] = 0.0
     return np.diag(imu), other
 
 
-def _propagated(p: Vector, phi: Vector, noise: NoiseDensities, inertial: bool) -> Vector:
+def _propagated(p: Vector, phi: Vector, noise: ProcessNoise, inertial: bool) -> Vector:
     """The covariance (20, 20) after the transition phi (20, 20): half of the IMU's noise comes
     before it and half after, which is exact but for the third power of the time."""
     imu, (first, second, third) = _noise_rates(noise, inertial)
@@ -277,7 +284,7 @@ def _propagated(p: Vector, phi: Vector, noise: NoiseDensities, inertial: bool) -
 
 
 def propagate_freely(
-    x: Vector, p: Vector, dt: float, noise: NoiseDensities
+    x: Vector, p: Vector, dt: float, noise: ProcessNoise
 ) -> tuple[Vector, Vector, Vector]:
     """State, covariance and transition over `dt` seconds without an IMU: steady velocity with
     random acceleration; shapes as for `propagate_inertial`."""

@@ -1,21 +1,8 @@
 """Measurement updates by the information on the few states that measurements observe.
 
-Pseudoranges observe position, clock and the systems' offsets, Doppler rates velocity and drift: c
-states each, 4 to 7 of 20. With A (n, c) the geometry over these, R the noise (diagonal) and P_c the
-covariance of these states,
-
-    N = A' inv(R) A,    b = A' inv(R) v,    P+_c = inv(inv(P_c) + N),
-
-    P+ = P - P_:c Y P_c:  with  Y = inv(P_c) - inv(P_c) P+_c inv(P_c),
-    dx = P+_:c b,       gain K = P+_:c A' inv(R),
-
-and the inverse innovation covariance is M = inv(R) - inv(R) A P+_c A' inv(R), so that
-
-    q = v' M v = v' inv(R) v - b' P+_c b.
-
-All of it is the Kalman update by the matrix inversion lemma [1]_; nothing of size n is inverted.
-Elimination without exchanges is indifferent to the scale of each state: a released one (a large P)
-costs no digits.
+Ranges observe position, clock and the systems' offsets, Doppler rates velocity and drift: c states
+each, 4 to 7 of 20. The equations, the Kalman update by the matrix inversion lemma [1]_ without any
+inverse of size n, are in docs/fdi.md, "Filter"; N, b, Y and P+ are theirs.
 
 References
 ----------

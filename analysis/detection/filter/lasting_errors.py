@@ -1,15 +1,7 @@
 """Errors that last for minutes: the position's covariance beyond the filter's covariance.
 
-A filter that takes epochs as independent averages its noise away, but not multipath, orbit and
-clock errors, and the residuals of the atmosphere's models: these are the same at the next epoch.
 They are *considered*, not estimated [1]_: gain and tests stay as they are, and the reported
-covariance of the position is
-
-    f P + S L S',   S = inv(A'WA) A'W,
-
-S the snapshot's response to the ranges, which the filter reaches within seconds, L (diagonal) the
-variances of lasting errors, and f the a-posteriori variance factor: chi-square per degree of
-freedom of the parity test over the last minute. An excess over 1 is multipath, and lasts.
+covariance of the position is f P + S L S' (docs/fdi.md, "The position's sigma").
 
 References
 ----------
@@ -22,9 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.filter.inertial import ISB
-from analysis.detection.filter.measurement import Innovations
-from analysis.orbits.broadcast import CLOCKS, troposphere_m
+from analysis.detection.filter.measurement import Innovations, systems_in_use
+from analysis.orbits.broadcast import troposphere_m
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import invert_positive_definite
@@ -69,25 +60,10 @@ def lasting_variance(used: Innovations, factor: float) -> Vector:
     return out
 
 
-@compiled
 def snapshot_design(h: Vector, axes: Vector) -> Vector:
     """The geometry A (n, 3 + systems) of ranges (n, 20): along the rows of `axes` (3, 3), and a
     clock for each system in use."""
-    out = np.zeros((h.shape[0], AXES + CLOCKS))
-    place, unknowns = np.full(CLOCKS, -1), AXES
-    for i in range(h.shape[0]):
-        system = 0
-        for k in range(1, CLOCKS):
-            if h[i, ISB - 1 + k] != 0.0:
-                system = k
-        if place[system] < 0:
-            place[system] = unknowns
-            unknowns += 1
-        out[i, place[system]] = 1.0
-        for k in range(AXES):
-            for j in range(AXES):
-                out[i, k] += axes[k, j] * h[i, j]
-    return out[:, :unknowns].copy()
+    return np.hstack((h[:, :AXES] @ axes.T, systems_in_use(h)))
 
 
 @compiled
@@ -103,17 +79,9 @@ def snapshot_cofactor(a: Vector, weight: Vector, vague: float) -> Vector:
     return invert_positive_definite(normal)
 
 
-@compiled
 def lasting_position_covariance(a: Vector, weight: Vector, lasts: Vector) -> Vector:
     """S L S' (3, 3) along the axes of A (n, c), with weights and lasting variances (n,), in m^2."""
-    cofactor, out = snapshot_cofactor(a, weight, VAGUE_INFORMATION), np.zeros((AXES, AXES))
-    response = np.zeros(AXES)
-    for i in range(a.shape[0]):
-        for k in range(AXES):
-            response[k] = 0.0
-            for j in range(a.shape[1]):
-                response[k] += cofactor[k, j] * a[i, j] * weight[i]
-        for k in range(AXES):
-            for j in range(AXES):
-                out[k, j] += response[k] * response[j] * lasts[i]
-    return out
+    cofactor = snapshot_cofactor(a, weight, VAGUE_INFORMATION)
+    response = cofactor[:AXES] @ (a.T * weight)
+    covariance: Vector = (response * lasts) @ response.T
+    return covariance

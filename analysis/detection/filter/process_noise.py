@@ -1,27 +1,11 @@
 """Process noise of the filter: the IMU, the receiver's clock, and motion without an IMU."""
 
-from functools import cached_property
-from typing import NamedTuple
-
 import msgspec
 
 from mavproxy_fault.documents.document_check import NotNegative
 
 
-class NoiseDensities(NamedTuple):
-    """Squares of the densities of `ProcessNoise`."""
-
-    gyro_rps: float
-    accel_mps2: float
-    gyro_walk: float
-    accel_walk: float
-    clock_m: float
-    drift_mps: float
-    isb_m: float
-    motion_mps2: float
-
-
-class ProcessNoise(msgspec.Struct, frozen=True, kw_only=True, dict=True):
+class ProcessNoise(msgspec.Struct, frozen=True, kw_only=True):
     """Densities of the filter's process noise.
 
     Those of the IMU are for a small MEMS part, with a margin for vibration and timing.
@@ -35,8 +19,3 @@ class ProcessNoise(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     drift_mps: NotNegative = 0.3  # m/s/sqrt(s)
     isb_m: NotNegative = 0.005  # m/sqrt(s)
     motion_mps2: NotNegative = 3.0  # m/s^2/sqrt(Hz), where no IMU measures the motion
-
-    @cached_property
-    def densities(self) -> NoiseDensities:
-        """Their squares, as the kernels need them."""
-        return NoiseDensities(*(float(getattr(self, name)) ** 2 for name in NoiseDensities._fields))

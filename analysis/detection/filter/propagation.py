@@ -1,16 +1,15 @@
 """The filter from one epoch to the next: by the IMU where it is usable, freely otherwise."""
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from analysis.detection.filter.antenna import shift_by_lever_arm
 from analysis.detection.filter.filter_config import FilterConfig
-from analysis.detection.filter.filter_state import MotionEstimate, PendingImu
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import PSI, propagate_freely, propagate_inertial
 from analysis.samples.block import ImuRun, Stamps
-from analysis.samples.sample import IMU_VALUE_LIMIT, ImuSample, Vector
+from analysis.samples.sample import IMU_VALUE_LIMIT, Vector
 from mavproxy_fault.numerics.compile import compiled
 
 PENDING_MAX = 40_000  # samples between two epochs, 200 s at 200 Hz; older ones are dropped
@@ -30,61 +29,24 @@ class ImuSegment(NamedTuple):
     any_sample: bool
 
 
-def imu_run_of(samples: Iterable[ImuSample]) -> ImuRun:
-    """IMU samples in order as a run."""
-    listed = list(samples)
-    values = [(*sample.gyro_b_rps, *sample.accel_b_mps2) for sample in listed]
-    stamps = np.array([sample.t_us for sample in listed], np.int64)
-    return ImuRun(stamps, np.array(values, dtype=float).reshape(-1, 6))
-
-
-def add_pending(run: ImuRun, pending: PendingImu | None) -> PendingImu | None:
-    """The pending samples with one run more."""
-    # An empty run would only lengthen the chain.
+def add_pending(run: ImuRun, pending: ImuRun) -> ImuRun:
+    """The samples that wait for an epoch with one run more; only the newest are kept."""
     if not len(run.t_us):
         return pending
-    depth = len(run.t_us) + (pending.depth if pending is not None else 0)
-    # Twice the limit before it is cut: joining all runs at each arrival would be quadratic.
-    if depth <= 2 * PENDING_MAX:
-        return PendingImu(run, pending, depth)
-    joined = _join(PendingImu(run, pending, depth))
-    return PendingImu(joined, None, len(joined.t_us))
+    t_us, values = (np.concatenate(both)[-PENDING_MAX:] for both in zip(pending, run, strict=True))
+    return ImuRun(t_us, values)
 
 
-def split_pending(pending: PendingImu | None, until_us: int) -> tuple[ImuRun, PendingImu | None]:
-    """Samples up to `until_us`, and those that stay pending."""
-    if pending is None:
-        return NO_RUN, None
-    run = _join(pending)
-    # `right`: a sample at the epoch's own stamp belongs to the time before it.
-    at = int(run.t_us.searchsorted(until_us, side="right"))
-    if at == len(run.t_us):
-        return run, None
-    rest = ImuRun(run.t_us[at:], run.values[at:])
-    return ImuRun(run.t_us[:at], run.values[:at]), PendingImu(rest, None, len(rest.t_us))
-
-
-def _join(pending: PendingImu) -> ImuRun:
-    """All pending samples as one run of at most `PENDING_MAX`, without those that are not later
-    than all before them."""
-    run = pending.run
-    if pending.older is not None:
-        runs = [run]
-        at: PendingImu | None = pending.older
-        while at is not None:
-            runs.append(at.run)
-            at = at.older
-        runs.reverse()
-        run = ImuRun(
-            np.concatenate([one.t_us for one in runs]), np.concatenate([one.values for one in runs])
-        )
-    if (run.t_us[1:] <= run.t_us[:-1]).any():
+def split_pending(pending: ImuRun, until_us: int) -> tuple[ImuRun, ImuRun]:
+    """Samples up to `until_us`, each later than all before it, and those that stay pending."""
+    t_us, values = pending
+    if (t_us[1:] <= t_us[:-1]).any():
         # Stamps that go back are dropped: sorting would mix two clocks.
-        later = np.append(True, run.t_us[1:] > np.maximum.accumulate(run.t_us)[:-1])
-        run = ImuRun(run.t_us[later], run.values[later])
-    if pending.depth <= PENDING_MAX:
-        return run
-    return ImuRun(run.t_us[-PENDING_MAX:], run.values[-PENDING_MAX:])
+        later = np.append(True, t_us[1:] > np.maximum.accumulate(t_us)[:-1])
+        t_us, values = t_us[later], values[later]
+    # `right`: a sample at the epoch's own stamp belongs to the time before it.
+    at = int(t_us.searchsorted(until_us, side="right"))
+    return ImuRun(t_us[:at], values[:at]), ImuRun(t_us[at:], values[at:])
 
 
 def update_interval_s(known_s: float, run: ImuRun) -> float:
@@ -142,7 +104,7 @@ def propagate_filter(
 ) -> tuple[MotionEstimate, Vector]:
     """The filter at `until_us`, before the epoch there is used, and the transition (20, 20)."""
     dt_s = (until_us - motion.t_us) * 1e-6
-    noise = config.noise.densities
+    noise = config.noise
     complete = segment.gap_s <= config.gap_s and len(segment.samples) > 0
     if motion.inertial and complete and config.antenna is None:
         x, p, phi = propagate_inertial(motion.x, motion.p, segment.samples, noise)

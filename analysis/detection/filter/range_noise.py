@@ -2,18 +2,14 @@
 
 import math
 from functools import cached_property
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec import Meta
 
 from analysis.samples.sample import Vector
+from mavproxy_fault.documents.document_check import NotNegative, Positive
 from mavproxy_fault.numerics.compile import compiled
-
-NotNegative = Annotated[float, Meta(ge=0)]
-Positive = Annotated[float, Meta(gt=0)]
-SystemFactors = tuple[float, float, float, float]
 
 
 class SigmaNumbers(NamedTuple):
@@ -24,7 +20,7 @@ class SigmaNumbers(NamedTuple):
     zenith_m: float
     thermal_m: float
     rate_mps: float
-    systems: SystemFactors
+    systems: tuple[float, ...]
 
 
 class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
@@ -40,14 +36,14 @@ class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     (benchmarks/fdi_walk.py).
     """
 
-    scale: Annotated[float, Meta(gt=0)] = 1.0
-    floor_m: Annotated[float, Meta(gt=0)] = 0.3
+    scale: Positive = 1.0
+    floor_m: Positive = 0.3
     zenith_m: NotNegative = 0.4
     thermal_m: NotNegative = 0.3
     slow: NotNegative = 1.0
-    slow_s: Annotated[float, Meta(gt=0)] = 300.0
+    slow_s: Positive = 300.0
     slow_mps: NotNegative = 0.02
-    rate_mps: Annotated[float, Meta(gt=0)] = 0.15
+    rate_mps: Positive = 0.15
     systems: tuple[Positive, Positive, Positive, Positive] = (1.0, 1.0, 1.5, 1.5)
 
     def sigma_m(self, elevation_rad: Vector, cn0_dbhz: Vector) -> Vector:
@@ -58,15 +54,9 @@ class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     @cached_property
     def numbers(self) -> SigmaNumbers:
         """The terms that the kernels need."""
-        gps, galileo, glonass, beidou = map(float, self.systems)
-        return SigmaNumbers(
-            float(self.scale),
-            float(self.floor_m),
-            float(self.zenith_m),
-            float(self.thermal_m),
-            float(self.rate_mps),
-            (gps, galileo, glonass, beidou),
-        )
+        *names, _ = SigmaNumbers._fields
+        numbers = (float(getattr(self, name)) for name in names)
+        return SigmaNumbers(*numbers, systems=tuple(map(float, self.systems)))
 
 
 @compiled

@@ -1,15 +1,9 @@
 """All satellites at once: innovations that no IMU fault can cause come from the signals or the
 receiver.
 
-An IMU fault reaches the position through the velocity, and the velocity through a wrong force. So
-it is not the IMU where the position leaves while the Doppler rates still fit, where the velocity
-leaves faster than a wrongly rotated force could drive it while the IMU's own output did not change,
-or where both leave and the position is farther off than that velocity could have carried it. The
-satellites agree among themselves: the hypothesis is `gps`, and nothing of the epoch is used.
-
-Without an IMU a position that jumps as no vehicle can, while the satellites agree, is `gps` too.
-The filter follows, as it has no other source, but the position stays unbounded until the satellites
-have jumped back.
+An IMU fault reaches the position through the velocity, and the velocity through a wrong force; what
+arrives otherwise is `gps`, and nothing of the epoch is used. Without an IMU a position that jumps
+as no vehicle can is `gps` too. docs/fdi.md has the rules.
 """
 
 import numpy as np

@@ -1,14 +1,8 @@
 """A velocity shift that all Doppler rates share: it has three parameters, so it is detected early.
 
-The rates' main test has as many degrees of freedom as satellites, and a receiver that a spoofer
-drags away at 0.5 m/s passes it. With N and b of the rates' normal equations and P_c the covariance
-of velocity and drift, the shift that they share and its statistic are
-
-    u = [inv(N) b]_v,   u' inv([inv(N) + P_c]_vv) u,   chi-square(3) without a fault,
-
-the drift unknown. Most receivers are far better than the assumed noise, so the statistic is
-compared with this flight's own level. A large one only raises the suspicion that all satellites
-lead the filter away; `imu_or_satellites` then decides, at this epoch and the following ones.
+It is compared with this flight's own level (docs/fdi.md, "Without raw ranges", has the equation). A
+large one only raises the suspicion that all satellites lead the filter away; `imu_or_satellites`
+then decides, at this epoch and the following ones.
 """
 
 from typing import NamedTuple

@@ -1,9 +1,8 @@
 """Entire systems (constellations) as hypotheses beside satellites, IMU and clock.
 
-A spoofer of one system moves all its ranges by one shift of the position and one of the clock: four
-parameters, however many satellites. A fault of a system's clock moves them by one. So a system
-competes by rule D like the other hypotheses, and healthy satellites of another system are not left
-out one by one. Where it is ambiguous which of two systems moved, neither is used.
+A system competes by rule D like the other hypotheses (docs/fdi.md, "Entire systems"), so healthy
+satellites of another one are not left out one by one. Where it is ambiguous which of two systems
+moved, neither is used.
 """
 
 from collections.abc import Sequence

@@ -1,9 +1,5 @@
-"""The memory of the tests from epoch to epoch, including the satellites' offsets.
-
-Every satellite has a range offset that lasts for minutes; their weighted mean is the position's
-error. When one is excluded, or sets, the mean changes. So the offsets learned by then are frozen:
-subtracted from the ranges from there on, so that the position does not jump with the geometry. They
-fade with the correlation time of offsets, `slow_s`.
+"""The memory of the tests from epoch to epoch, including the satellites' offsets, which are frozen
+when other satellites are used than before (docs/fdi.md, "Offsets").
 """
 
 import math

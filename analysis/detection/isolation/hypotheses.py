@@ -1,13 +1,7 @@
 """Which hypothesis is faulty: satellites, the prediction (IMU), the receiver clock, or unknown.
 
-Rule D: every explanation frees some parameters. Leaving out the set K of satellites frees |K| of
-them, a wrong prediction of position frees three (the clock is kept), a clock jump frees one. Of
-the explanations that pass their own chi-square test the one with the least
-
-    J = q_left + PENALTY * (number of freed parameters)
-
-is taken; if none passes the verdict is "multiple-unknown", never "imu". The plain rule of the
-older literature, "no leave-out set passes, so it is the IMU", can be chosen for comparison.
+Rule D of docs/fdi.md: of the explanations that pass their own test the one with the least cost
+J = q_left + PENALTY * (number of freed parameters).
 """
 
 import math
@@ -27,7 +21,6 @@ from analysis.detection.statistics.chi_square import chi_square_threshold, subse
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
-ISOLATION_RULES = ("explicit", "plain")
 LEAST_DOF_LEFT = 2  # after leaving out: with one, too many wrong sets pass
 
 

@@ -1,13 +1,10 @@
 """Parameters of fault isolation: how a verdict is found, and how long it holds."""
 
-from functools import cached_property
-from typing import Annotated
+from typing import Annotated, Literal
 
 from msgspec import Meta
 
 from analysis.detection.filter.filter_config import FilterConfig, Seconds
-from analysis.detection.isolation.hypotheses import ISOLATION_RULES
-from analysis.detection.isolation.ramp_windows import RampNumbers
 from mavproxy_fault.documents.document_check import NotNegative
 
 MOST_LEFT_OUT = 64  # satellites: more than are ever in view
@@ -22,28 +19,8 @@ class IsolationConfig(FilterConfig, frozen=True, kw_only=True, dict=True):
     for seconds.
     """
 
-    rule: str = "explicit"
+    rule: Literal["explicit", "plain"] = "explicit"
     left_out: Annotated[int, Meta(ge=0, le=MOST_LEFT_OUT)] = 3
     readmit_s: Seconds = 10.0
     imu_hold_s: Seconds = 10.0
     slow_accel_mps2: NotNegative = 0.1
-
-    def __post_init__(self) -> None:
-        """Refuse an unknown rule.
-
-        Raises
-        ------
-        ValueError
-            Naming the field, its value and what is allowed.
-        """
-        super().__post_init__()
-        if self.rule not in ISOLATION_RULES:
-            known = ", ".join(sorted(ISOLATION_RULES))
-            raise ValueError(f"rule = {self.rule!r} is unknown; known: {known}")
-
-    @cached_property
-    def ramp_numbers(self) -> RampNumbers:
-        """The numbers that the ramp tests' kernels need."""
-        sigma = self.sigma
-        slope, acceleration = sigma.slow_mps**2, self.slow_accel_mps2**2
-        return RampNumbers(*map(float, (sigma.slow**2, sigma.slow_s, slope, acceleration)))

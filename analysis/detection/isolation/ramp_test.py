@@ -137,7 +137,7 @@ def ramp_onset_us(ramps: RampBank | None, name: str, t_us: int, config: Isolatio
     """Since when a satellite isolated at `t_us` has been faulty, by the windows."""
     if ramps is None or name not in ramps.names:
         return t_us
-    windows, i, slope = ramps.windows, ramps.names.index(name), config.ramp_numbers.slope
+    windows, i, slope = ramps.windows, ramps.names.index(name), float(config.sigma.slow_mps) ** 2
     ratios = [ramp_ratio(windows, w, i, slope) for w in range(WINDOW_COUNT)]
     window = ratios.index(max(ratios))
     start_us = int(windows.starts_us[window])

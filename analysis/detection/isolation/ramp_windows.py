@@ -1,30 +1,8 @@
 """Ramp tests: growing faults, which the filter follows, and so hides, epoch by epoch.
 
-A fault of one satellite that grows since t_0 adds r (t - t_0) to its range. What that does to the
-filter is linear: with D the response of the estimated state, of every innovation g = e s - H D, and
-
-    D <- Phi D,  then  D <- D + K g,
-
-so c = sum g' M v and J = sum g' M g over the epochs since t_0 (M the inverse innovation covariance)
-give the fault's likeliest slope c / J and the likelihood ratio c^2 / J, chi-square(1) without a
-fault [1]_. This equals a bank of sub-filters of their own memory, each with one satellite's fault
-set free since t_0, without running them. Several windows start `STRIDE_S` apart.
-
-The innovations of a healthy satellite have an offset that stays for minutes (multipath, ephemeris,
-atmosphere). Each satellite's is learned as a first-order Gauss-Markov process, mean o and variance
-B, and the offset known when a window started is subtracted: with v - o in place of v and the rest
-of the offset marginalised,
-
-    J = J_rr - J_ro^2 / (J_oo + 1/B),   c = c_r - J_ro c_o / (J_oo + 1/B),
-
-and a natural slope of variance k makes the test c^2 / (J + k J^2). A faulty accelerometer or a
-wrong attitude shows as a constant acceleration: three more responses, the rival hypothesis.
-
-The innovations are never formed: with N, b and P+ of `information`, D_c the response of the states
-that are observed and gamma = A' inv(R) g = A' inv(R) e s - N D_c,
-
-    K g = P+_:c gamma,
-    g' M v = g' inv(R) v - gamma' P+_c b,   g' M g = g' inv(R) g - gamma' P+_c gamma.
+The likelihood ratio of each satellite's fault since the start of each window [1]_ equals that of a
+sub-filter with its own memory, without running one. The equations, with the satellites' offsets and
+the rival hypothesis, are in docs/fdi.md, "Ramp tests".
 
 References
 ----------
@@ -40,6 +18,8 @@ from analysis.detection.filter.epoch_update import EpochUpdate
 from analysis.detection.filter.inertial import R, V
 from analysis.detection.filter.information import Indices, NormalEquations, covariance_block
 from analysis.detection.filter.lasting_errors import INDEPENDENT_AFTER_S
+from analysis.detection.filter.range_noise import SigmaModel
+from analysis.detection.isolation.isolation_config import IsolationConfig
 from analysis.detection.statistics.bank import cholesky_reduction
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
@@ -47,19 +27,6 @@ from mavproxy_fault.numerics.compile import compiled
 WINDOW_COUNT = 4
 STRIDE_S = 5.0  # four windows look back 15 to 20 s
 YOUNGEST_S = 0.5  # a younger window detects nothing that the main test does not
-
-
-class RampNumbers(NamedTuple):
-    """Assumptions of the ramp tests on a healthy satellite and a healthy IMU.
-
-    An unknown offset's variance over that of the range and its correlation time, the variance of a
-    natural slope (m/s)^2, and that of a healthy IMU's acceleration error (m/s^2)^2.
-    """
-
-    offset_share: float
-    offset_s: float
-    slope: float
-    acceleration: float
 
 
 class RampWindows(NamedTuple):
@@ -104,18 +71,19 @@ class EpochStep(NamedTuple):
 
 
 def update_windows(
-    windows: RampWindows, p: Vector, update: EpochUpdate, step: EpochStep, numbers: RampNumbers
+    windows: RampWindows, p: Vector, update: EpochUpdate, step: EpochStep, config: IsolationConfig
 ) -> tuple[RampWindows, StrongestRamp]:
     """The windows after the filter's update from the covariance p (20, 20), and the strongest ramp
     that they show now."""
     ages_s = np.where(windows.starts_us != 0, (step.t_us - windows.starts_us) * 1e-6, 0.0)
     prior = covariance_block(p, update.ranges.states)
-    offset, spread = learn_offsets(windows, prior, update.ranges, step.dt_s, numbers)
+    offset, spread = learn_offsets(windows, prior, update.ranges, step.dt_s, config.sigma)
     windows = propagate_windows(windows, step.transition, step.dt_s)
     respond(windows, ages_s, update.ranges, update.after_ranges, True)
     respond(windows, ages_s, update.rates, update.after_rates, False)
     windows = windows._replace(offset=offset, spread=spread)
-    strongest = strongest_ramp(windows, ages_s, step.inertial, numbers)
+    variances = float(config.sigma.slow_mps) ** 2, float(config.slow_accel_mps2) ** 2
+    strongest = strongest_ramp(windows, ages_s, step.inertial, *variances)
     return windows, StrongestRamp(*strongest)
 
 
@@ -203,17 +171,17 @@ def _without_offsets(
 
 
 def learn_offsets(
-    windows: RampWindows, prior: Vector, ranges: NormalEquations, dt_s: float, numbers: RampNumbers
+    windows: RampWindows, prior: Vector, ranges: NormalEquations, dt_s: float, sigma: SigmaModel
 ) -> tuple[Vector, Vector]:
     """Mean and variance (n,) of each satellite's offset after the innovations of one epoch.
 
     `prior` (c, c) is the covariance of the observed states before it; an epoch `dt_s` after the
     last one counts min(dt_s / 1 s, 1) of an independent one.
     """
-    stays, news = math.exp(-dt_s / numbers.offset_s), min(dt_s / INDEPENDENT_AFTER_S, 1.0)
+    stays, news = math.exp(-dt_s / sigma.slow_s), min(dt_s / INDEPENDENT_AFTER_S, 1.0)
     a, variance, mean = ranges.a, ranges.variance, stays * windows.offset
     # The process noise of a first-order Gauss-Markov process of that variance.
-    fresh = (1.0 - stays * stays) * numbers.offset_share * variance
+    fresh = (1.0 - stays * stays) * sigma.slow**2 * variance
     spread = stays * stays * windows.spread + fresh
     s = variance + ((a @ prior) * a).sum(axis=1)
     gain = spread / (spread + s / news)
@@ -222,20 +190,21 @@ def learn_offsets(
 
 @compiled
 def strongest_ramp(
-    windows: RampWindows, ages_s: Vector, inertial: bool, numbers: RampNumbers
+    windows: RampWindows, ages_s: Vector, inertial: bool, slope: float, acceleration: float
 ) -> tuple[float, int, int, float]:
     """The largest ratio of a ramp, its window and satellite, and the largest ratio of the rival, an
-    acceleration error, where an IMU is used; `ages_s` (w,)."""
+    acceleration error, where an IMU is used; `ages_s` (w,). `slope` and `acceleration` are the
+    variances of what is natural to a healthy satellite and to a healthy IMU."""
     best, window, satellite, rival = 0.0, -1, -1, 0.0
     for w in range(ages_s.shape[0]):
         if ages_s[w] >= YOUNGEST_S:
             for i in range(windows.offset.shape[0]):
-                ratio = ramp_ratio(windows, w, i, numbers.slope)
+                ratio = ramp_ratio(windows, w, i, slope)
                 # The first window that is old enough counts even with a ratio of zero.
                 if ratio > best or satellite < 0:
                     best, window, satellite = ratio, w, i
             if inertial:
-                rival = max(rival, _acceleration_ratio(windows, w, numbers.acceleration))
+                rival = max(rival, _acceleration_ratio(windows, w, acceleration))
     return best, window, satellite, rival
 
 

@@ -1,23 +1,8 @@
 """Detects a receiver that is carried off slowly, by windows over its past.
 
-A spoofer that takes over at t_0 and drags with velocity u adds u (t - t_0) to the receiver's
-position and u to its velocity. The effect on the filter is linear, as in `ramp_windows`: with the
-geometry H of position and velocity, e = [(t - t_0) I; I], the gain K and the inverse innovation
-covariance M,
-
-    D <- Phi D,   g = e - H D,   c += g' M v,   J += g' M g,   D <- D + K g,
-
-u = inv(J) c is the most likely carry-off and c' inv(J) c its likelihood ratio, chi-square(3)
-without a spoofer. The filter has followed by D u, which is removed. As t_0 is unknown, a window
-begins with every fix. The velocity of a healthy receiver has errors that last for seconds (variance
-k), so c' inv(J + k J^2) c is tested.
-
-A wrong acceleration, from the IMU or its attitude, has three responses of its own and is the
-competing hypothesis: a velocity step and an acceleration step look alike at first and diverge with
-time. If the competing hypothesis fits better, the receiver is not carried off.
-
-The filter's assumed receiver noise is conservative; most receivers are far better. The ratios are
-therefore normalized by the mean squared innovations of this flight before the windows began.
+A window begins with every fix; its likelihood ratio of a steady carry-off competes with that of a
+wrong acceleration, from the IMU or its attitude: both look alike at first and diverge with time.
+The equations are in docs/fdi.md, "Slow carry-off".
 """
 
 from typing import NamedTuple

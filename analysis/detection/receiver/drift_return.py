@@ -1,12 +1,8 @@
 """Recognizes a receiver that jumps back from a slow drift, which no test has shown.
 
-A drift of the position alone carries the filter with it; at its end a healthy receiver contradicts
-the filter. Position less integrated velocity,
-
-    d = sum over fixes of r_k - r_(k-1) - (v_k + v_(k-1)) dt / 2,
-
-is constant but for noise while both are healthy. The receiver is back if d is again what it was
-some time ago, while d before the jump was not; one that jumps away shows the opposite.
+Position less integrated velocity, d, is constant but for noise while both are healthy. The receiver
+is back if d is again what it was some time ago, while d before the jump was not (docs/fdi.md, "Back
+from a drift").
 """
 
 import numpy as np

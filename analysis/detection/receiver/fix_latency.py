@@ -1,10 +1,7 @@
 """Estimates the latency of a receiver's fixes, which real receivers do not report: 0.1 to 0.5 s.
 
-A fix is stamped when its message arrived or was logged. While the vehicle accelerates, the reported
-velocity is outdated, and a healthy receiver contradicts a healthy IMU. The IMU's motion since then
-moves the fix to the present. The latency hardly changes in a flight, so it is a single state:
-learned from the velocities while the vehicle accelerates, and its variance widens the test. A
-simulator's HIL_GPS has the stamp of its measurement.
+While the vehicle accelerates an outdated velocity contradicts a healthy IMU (docs/fdi.md, "Latency
+of a fix"). A simulator's HIL_GPS has the stamp of its measurement.
 """
 
 from typing import NamedTuple

@@ -1,10 +1,8 @@
 """Limits how well fixes determine the heading: by the vehicle's acceleration over their error's.
 
-Only acceleration shows a vehicle's heading. A receiver's velocity has errors that last for seconds
-and look like an acceleration. A filter that treats them as white noise is certain of a wrong
-heading after a minute of hovering (by up to 180 degrees on real multirotors). So an update gives
-back the information about the rotation about the vertical that the fix cannot have: the partial
-update of [1]_, of state and covariance alike.
+The errors of a receiver's velocity last for seconds, so an update gives back the information about
+the rotation about the vertical that a fix cannot have: the partial update of [1]_, of state and
+covariance alike (docs/fdi.md, "Heading from fixes").
 
 References
 ----------

@@ -7,17 +7,13 @@ import numpy as np
 
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import (
-    ACCEL_BIAS_SIGMA_MPS2,
-    BA,
-    BG,
     CLOCK,
     DRIFT,
     ERROR_SIZE,
-    GYRO_BIAS_SIGMA_RPS,
-    PSI,
     X_Q,
     X_SIZE,
     R,
+    set_unknown_attitude,
 )
 from analysis.detection.filter.information import (
     innovation_statistic,
@@ -136,9 +132,8 @@ def start_at_fix(t_us: int, fix: FixMeasurement) -> MotionEstimate:
     if fix.v_ned_mps is not None:
         x[3:6] = fix.axes.T @ np.nan_to_num(fix.v_ned_mps)
     speed = 2.0 * VELOCITY_SIGMA_MPS[1] if finite else 10.0
-    parts = ((3, speed), (PSI, 3.0), (BG, GYRO_BIAS_SIGMA_RPS), (BA, ACCEL_BIAS_SIGMA_MPS2))
-    for at, sigma in parts:
-        p[range(at, at + 3), range(at, at + 3)] = sigma**2
+    p[range(3, 6), range(3, 6)] = speed**2
+    set_unknown_attitude(p)
     # Without ranges the clock is not observed: any positive variance will do.
     p[CLOCK, CLOCK] = p[DRIFT, DRIFT] = 1.0
     return MotionEstimate(t_us, x, p)

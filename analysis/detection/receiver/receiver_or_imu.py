@@ -1,15 +1,8 @@
 """Isolates the fault when a receiver's velocity and the IMU disagree, without raw ranges.
 
 A spoofer moves position and velocity together, so a receiver that is consistent with itself may
-still be faulty, and two sources cannot vote. Two criteria help:
-
-- An IMU fault shows in its own output. If its specific force changed within the last three
-  intervals, and the velocities differ by the effect of that change since, it is the IMU.
-- A wrong attitude rotates the specific force f. An attitude error of 60 degrees is an error of |f|;
-  gyros would have to err by 3 rad/s to reach it undetected. If the difference of the velocities
-  grew faster than that while the IMU showed no such change, it is the receiver.
-
-If neither explains it, the verdict is that it is the receiver or the IMU.
+still be faulty, and two sources cannot vote. The criteria are those of docs/fdi.md, "Without raw
+ranges".
 """
 
 import numpy as np

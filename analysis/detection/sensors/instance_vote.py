@@ -1,11 +1,8 @@
 """Detects the faulty one of several sensors of a kind by a majority vote.
 
-All of them measure the same, so the differences of their means over a window are constant:
-mounting, calibration. Two differences that change together isolate the sensor that both have in
-common; the difference of only two sensors shows that one of them is faulty, but not which. Noise
-that one sensor alone has gained isolates that one, also of two. IMUs vote on rates and forces,
-magnetometers on the field along the vehicle's axes, barometers on the altitude, receivers on
-position. A silent additional magnetometer or barometer is reported too.
+The differences of their means over a window are constant: mounting, calibration. Two differences
+that change together isolate the sensor that both have in common (docs/watches.md, "Several sensors
+of a kind").
 """
 
 from collections.abc import Iterator

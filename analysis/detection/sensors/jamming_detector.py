@@ -1,10 +1,7 @@
 """Detects jamming, a common loss of all satellites' signal strength, without the filter.
 
 Each satellite's C/N0 is compared with its own mean over the last minute, so rising and setting
-satellites do not matter. A jammer adds noise at the receiver's antenna and weakens all signals of a
-band by the same amount. An obstruction weakens some signals more than others, unless it covers the
-antenna: a covered antenna looks like jamming. A vanished signal counts as weaker too; if most
-vanish at once, that is reported without a cause. The result is about all `satellites`.
+satellites do not matter (docs/fdi.md, "Jamming"). The result is about all `satellites`.
 """
 
 import math

@@ -1,11 +1,5 @@
-"""Detects sensors that leave their own level, without filter and attitude.
-
-- The size of the magnetic field, whichever way the vehicle points.
-- Whether a receiver reports a fix.
-
-A short mean is compared with a long one, relative to the usual deviation of the two. The long mean
-is frozen while they differ, so that a step stays visible; after a while the new level becomes the
-usual one. A return to the previous level does not count as a new step.
+"""Detects sensors that leave their own level, without filter and attitude: the size of the magnetic
+field, whichever way the vehicle points, and whether a receiver reports a fix (docs/watches.md).
 """
 
 import math

@@ -1,33 +1,22 @@
 """Tests the other sensors with the navigation filter: barometer, airspeed, magnetometer, vision,
 range, and a receiver's own position and velocity.
 
-While the detector finds the IMU (or at least the satellites) healthy, its filter is the reference.
-Every sensor's newest sample is tested at each GNSS epoch, with the innovation v, and the variance
-of what the filter and the sensor's own slow states (an offset, the wind, the local field) leave
-uncertain:
-
-    v' inv(H_b P_b H_b' + R) v  is compared with chi-square(m),
-
-with a false-alarm probability of its own (`p_other`). A sensor that fails several times in a row is
-isolated until it has been healthy for `readmit_s`; its slow states are frozen meanwhile. One
-whose offset is again that of its first ten seconds has returned from a drift: it is healthy at
-once. Each sensor's prediction is in `sensor_models`.
-
-`NavigationDetector` contains the detector: it returns the results of both.
+While the detector finds its reference healthy, every sensor's newest sample is tested at each GNSS
+epoch (docs/fdi.md, "Other sensors"; predictions in `sensor_models`). The slow states of an isolated
+sensor are frozen; one whose offset is again that of its first ten seconds has returned from a
+drift, and is healthy at once.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector import Detector
-from analysis.detection.detector_registry import RowResults
+from analysis.detection.detector import Detector, step_pieces
 from analysis.detection.detector_state import DetectorState
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.sensors.sensor_models import (
@@ -42,7 +31,6 @@ from analysis.samples.block import (
     AIRSPEED,
     BARO,
     FIX,
-    IMU,
     KINDS,
     MAG,
     NEVER_US,
@@ -50,8 +38,6 @@ from analysis.samples.block import (
     VISION,
     Block,
     BlockSlice,
-    block_of,
-    split_at_events,
 )
 from analysis.samples.sample import Sample, Vector
 from mavproxy_fault.numerics.linear import invert_positive_definite
@@ -74,8 +60,6 @@ SENSORS_OF = {
     VISION: ("vision",),
     FIX: OF_RECEIVER,
 }
-# A block's row, the decision there, and the filter.
-EpochReference = tuple[int, Decision, MotionEstimate | None]
 
 
 @dataclass(slots=True)
@@ -117,8 +101,15 @@ class SensorStates:
     by_fix: bool = False
     turning_rps: float = 0.0
 
-    def add_rates(self, rates_rps: Vector) -> None:
-        """Add rates of turn, of which those of lost samples are NaN."""
+    def add_samples(self, piece: BlockSlice) -> None:
+        """Add the newest sample of each sensor, and the rates of turn (NaN of lost samples)."""
+        block, last = piece.block, piece.last
+        rows = piece.first + np.flatnonzero(_OF_SENSORS[block.kind[piece.first : last + 1]])
+        for row in rows.tolist():
+            for name in SENSORS_OF[int(block.kind[row])]:
+                state = self.sensors[name]
+                state.stamp_us, state.z = int(block.t_us[row]), block.values[row].copy()
+        rates_rps = np.linalg.norm(piece.imu.values[:, :3], axis=1)
         self.turning_rps = float(np.fmax.reduce(rates_rps, initial=self.turning_rps))
 
     def copy(self) -> "SensorStates":
@@ -158,84 +149,24 @@ class NavigationDetector:
         self, samples: Sample | Block, state: NavigationState
     ) -> tuple[list[Result], NavigationState]:
         """The results of a block of samples, or a single one, and the next state."""
-        block = samples if isinstance(samples, Block) else block_of(samples)
-        found, state = self.step_rows(block, state)
-        return [result for _, result in sorted(found, key=itemgetter(0))], state
-
-    def step_rows(
-        self, block: Block, state: NavigationState
-    ) -> tuple[list[tuple[int, Result]], NavigationState]:
-        """Results, each with its row of the block: the detector's first, then the sensors'."""
-        found: list[tuple[int, Result]] = []
-        decided: list[EpochReference] = []
-        detector = state.detector
-
-        def wanted(t_us: int) -> bool:
-            return self.detector.wants_fix(detector.core, t_us)
-
-        for piece in split_at_events(block, wanted):
-            results, detector = self.detector.step_piece(piece, detector)
-            found += [(piece.last, result) for result in results]
-            decided += _epoch_reference(piece.last, results, detector)
-        tested, states = self._judged(block, decided, state.states)
-        return found + tested, NavigationState(detector, states)
+        return step_pieces(self.step_piece, samples, state)
 
     def step_piece(
         self, piece: BlockSlice, state: NavigationState
     ) -> tuple[list[Result], NavigationState]:
-        """The results of samples up to an event, for callers that change the filter in between."""
+        """The results of samples up to an event: the detector's first, then the sensors'."""
         results, detector = self.detector.step_piece(piece, state.detector)
-        rows = piece.block.between(piece.first, piece.last + 1)
-        decided = _epoch_reference(piece.last - piece.first, results, detector)
-        tested, states = self._judged(rows, decided, state.states)
-        return [*results, *(result for _, result in tested)], NavigationState(detector, states)
-
-    def _judged(
-        self,
-        block: Block,
-        decided: Sequence[EpochReference],
-        states: SensorStates,
-    ) -> tuple[RowResults, SensorStates]:
-        """The sensors' tests at some decisions."""
-        called = {row: (decision, after) for row, decision, after in decided}
-        rows = sorted({*np.flatnonzero(_OF_SENSORS[block.kind]).tolist(), *called})
-        imu = block.rows(IMU)
-        if not rows and not len(imu):
-            return [], states
         # A copy is changed in place; the given state is not.
-        states = states.copy()
-        found: RowResults = []
-        rates_rps, begin = np.linalg.norm(block.values[imu, :3], axis=1), 0
-        for row in rows:
-            kind, t_us = int(block.kind[row]), int(block.t_us[row])
-            names: Sequence[str] = SENSORS_OF.get(kind, ())
-            for name in names:
-                state = states.sensors[name]
-                state.stamp_us, state.z = t_us, block.values[row].copy()
-            if row in called:
-                decision, motion = called[row]
-                if decision.mode == "":  # an untestable epoch has no prediction
-                    continue
-                states.epoch_us, states.by_fix = decision.t_us, decision.mode.startswith("position")
-                names = tuple(states.sensors)
-            elif kind != FIX or abs(t_us - states.epoch_us) > SAME_US:
-                # A late fix comes when other sensors' newest samples belong to the next epoch.
-                continue
-            if states.by_fix:  # the fix is the filter's input
-                for name in OF_RECEIVER:
-                    states.sensors[name].stamp_us = NEVER_US
-            if row in called:
-                end = int(np.searchsorted(imu, row))
-                states.add_rates(rates_rps[begin:end])
-                begin = end
-                # Also without a sample: a late fix is compared with it.
-                states.view = _view_reference(decision, motion, states.turning_rps)
-                if all(one.stamp_us == NEVER_US for one in states.sensors.values()):
-                    continue
-                states.turning_rps = 0.0
-            found += [(row, result) for result in self._outcomes(names, states)]
-        states.add_rates(rates_rps[begin:])
-        return found, states
+        states = state.states.copy()
+        states.add_samples(piece)
+        decision = next((result for result in results if isinstance(result, Decision)), None)
+        names = _tested_sensors(piece, decision, states)
+        if decision is not None and names:
+            # Also without a sample: a late fix is compared with it.
+            states.view = _view_reference(decision, detector.core.motion, states.turning_rps)
+            names = tuple(n for n in names if states.sensors[n].stamp_us != NEVER_US)
+            states.turning_rps = 0.0 if names else states.turning_rps
+        return [*results, *self._outcomes(names, states)], NavigationState(detector, states)
 
     def _outcomes(self, names: Sequence[str], states: SensorStates) -> list[SensorDecision]:
         """The tests of some sensors by the newest decision; each sample is tested once."""
@@ -332,11 +263,21 @@ def _test_innovation(
 _OF_SENSORS = np.isin(np.arange(len(KINDS)), list(SENSORS_OF))  # by kind of sample
 
 
-def _epoch_reference(
-    row: int, results: Sequence[Result], detector: DetectorState
-) -> list[EpochReference]:
-    """The decision among the results of a row, if any."""
-    return [(row, r, detector.core.motion) for r in results if isinstance(r, Decision)][:1]
+def _tested_sensors(
+    piece: BlockSlice, decision: Decision | None, states: SensorStates
+) -> Sequence[str]:
+    """The sensors whose samples are tested at the end of a piece, by the newest decision."""
+    names: Sequence[str] = ()
+    if decision is not None and decision.mode:  # an untestable epoch has no prediction
+        states.epoch_us, states.by_fix = decision.t_us, decision.mode.startswith("position")
+        names = tuple(states.sensors)
+    elif decision is None and piece.kind == FIX and abs(piece.t_us - states.epoch_us) <= SAME_US:
+        # A late fix comes when other sensors' newest samples belong to the next epoch.
+        names = OF_RECEIVER
+    if names and states.by_fix:  # the fix is the filter's input
+        for name in OF_RECEIVER:
+            states.sensors[name].stamp_us = NEVER_US
+    return names
 
 
 def _view_reference(

@@ -1,20 +1,9 @@
 """All satellites or the IMU: which of them is faulty where they contradict each other.
 
-A spoofer of all signals moves ranges and Doppler rates together, as a faulty IMU seems to. The
-tests that separate the two for a receiver's own fix (`carry_off_windows`, `receiver_or_imu`) do so
-for raw ranges too, once an epoch's ranges and rates are combined to a fix: its clocks are
-eliminated, with N and b of `information` in blocks of position p and clocks c,
-
-    N_p = N_pp - N_pc inv(N_cc) N_cp,   b_p = b_p - N_pc inv(N_cc) b_c,   v = inv(N_p) b_p,
-
-and the rates in the same way. To cost nothing in normal flight, the epochs of the last seconds are
-tested again only when the IMU is about to be isolated. It is the IMU where its own force changed by
-the difference of the velocities, or where a wrong force or rate explains more than a steady
-carry-off; it is the satellites where the carry-off explains more; else it is undecided, unless the
-IMU was faulty before.
-
-Satellites that were excluded all together fit again soon, as the filter grows uncertain without
-them. They stay excluded while they are nearer to where they had carried it than to the filter.
+Once ranges and rates of an epoch are combined to a fix, its clocks eliminated, the tests of a
+receiver's own fix separate the two (`carry_off_windows`, `receiver_or_imu`). They are made for the
+epochs of the last seconds, and only when the IMU is about to be isolated. docs/fdi.md, "Without raw
+ranges", has the rules, also for satellites that stay excluded all together.
 """
 
 from collections.abc import Sequence

@@ -7,15 +7,10 @@ import numpy as np
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import (
-    ACCEL_BIAS_SIGMA_MPS2,
-    BA,
-    BG,
     CLOCK,
     DRIFT,
     ERROR_SIZE,
-    GYRO_BIAS_SIGMA_RPS,
     ISB,
-    PSI,
     X_CLOCK,
     X_DRIFT,
     X_ISB,
@@ -23,6 +18,7 @@ from analysis.detection.filter.inertial import (
     X_SIZE,
     V,
     propagate_freely,
+    set_unknown_attitude,
 )
 from analysis.detection.filter.lasting_errors import VarianceFactor
 from analysis.detection.filter.measurement import EpochObservation, Innovations, predict_innovations
@@ -64,35 +60,43 @@ class InitialFix:
 def solve_initial_fix(
     t_us: int, observation: EpochObservation, config: DetectorConfig, ionosphere: Vector
 ) -> InitialFix:
-    """Least squares over all satellites above the mask, tested, and repaired if it fails.
+    """Least squares over all satellites above the mask, tested, and repeated without those that
+    make it fail.
 
     `ionosphere` (8,) are Klobuchar's coefficients.
     """
     # First all satellites, since the mask needs a position to compute elevations.
     x = solve_snapshot(observation, np.zeros(X_SIZE), config, ionosphere)
-    if x is None:
-        return InitialFix(None, _too_few(observation))
-    above = predict_innovations(observation, x, config.sigma, ionosphere).elevation_rad
-    observation = observation.select(above >= np.radians(config.mask_deg))
-    x = solve_snapshot(observation, x, config, ionosphere)
+    if x is not None:
+        above = predict_innovations(observation, x, config.sigma, ionosphere).elevation_rad
+        observation = observation.select(above >= config.mask_rad)
+        x = solve_snapshot(observation, x, config, ionosphere)
     if x is None:
         return InitialFix(None, _too_few(observation))
     innovations = predict_innovations(observation, x, config.sigma, ionosphere)
-    design = design_matrix(-innovations.geometry[:, 0:3], observation.measurements.system)
-    dof = len(design) - design.shape[1]
+    design = _design(observation, innovations)
+    count, unknowns = design.shape
     # Without redundancy a faulty start is not distinguishable from a healthy one.
-    if dof < 1:
-        return InitialFix(
-            None, f"{len(design)} satellites; {design.shape[1] + 1} are needed to test"
-        )
-    m = projected_weights(design, 1.0 / innovations.variance)
-    u = m @ innovations.range_m
-    q = float(innovations.range_m @ u)
-    threshold = chi_square_threshold(dof, config.p_false_alarm)
-    if q <= threshold:
-        motion = _motion(t_us, x, observation, innovations, design, config)
-        return InitialFix(motion, "", (), q, dof, threshold, _bounds(innovations, x, config))
-    return _repaired(t_us, x, observation, m, q, config, ionosphere)
+    if count <= unknowns:
+        return InitialFix(None, f"{count} satellites; {unknowns + 1} are needed to test")
+    m, dof = projected_weights(design, 1.0 / innovations.variance), count - unknowns
+    q = float(innovations.range_m @ (m @ innovations.range_m))
+    threshold, faulty = chi_square_threshold(dof, config.p_false_alarm), ()
+    if q > threshold:
+        subset, reason = _faulty_satellites(innovations, m, q, unknowns, config)
+        if reason:
+            return InitialFix(None, reason)
+        faulty = tuple(observation.satellites[i] for i in subset)
+        observation = observation.select(~np.isin(np.arange(count), subset))
+        x = solve_snapshot(observation, x, config, ionosphere)
+        if x is None:
+            return InitialFix(None, _too_few(observation))
+        innovations = predict_innovations(observation, x, config.sigma, ionosphere)
+        design = _design(observation, innovations)
+    motion = _motion(t_us, x, observation, innovations, design, config)
+    offset_m, share = np.zeros(len(innovations.range_m)), config.sigma.slow**2
+    bounds = bound_position(innovations, np.zeros(3), offset_m, x[:3], VarianceFactor(), share)
+    return InitialFix(motion, "", faulty, q, dof, threshold, bounds)
 
 
 def check_against_prior(
@@ -106,7 +110,7 @@ def check_against_prior(
     if motion is None or start.dof >= TRUSTED_START_DOF:
         return start
     gap_s = (motion.t_us - before.t_us) * 1e-6
-    x, p, _ = propagate_freely(before.x, before.p, gap_s, config.noise.densities)
+    x, p, _ = propagate_freely(before.x, before.p, gap_s, config.noise)
     shift_m = motion.x[:3] - x[:3]
     q = float(shift_m @ np.linalg.solve(p[:3, :3] + motion.p[:3, :3], shift_m))
     if q <= chi_square_threshold(3, config.p_false_alarm):
@@ -118,58 +122,32 @@ def check_against_prior(
     )
 
 
-def _repaired(
-    t_us: int,
-    x: Vector,
-    observation: EpochObservation,
-    m: Vector,
-    q: float,
-    config: DetectorConfig,
-    ionosphere: Vector,
-) -> InitialFix:
-    """The start without the satellites that make it fail."""
-    innovations = predict_innovations(observation, x, config.sigma, ionosphere)
+def _faulty_satellites(
+    innovations: Innovations, m: Vector, q: float, unknowns: int, config: DetectorConfig
+) -> tuple[tuple[int, ...], str]:
+    """The satellites that make a start of statistic q fail; or none, and why."""
     u = m @ innovations.range_m
-    unknowns = 3 + len(systems_of(observation.measurements.system))
     # Two satellites of redundancy for each one left out make the set unique.
     largest = min(config.left_out, (len(u) - unknowns) // 2)
     found = explain_by_satellites(m, u, q, config.p_false_alarm, largest, unknowns)
-    systems = group_by_system(innovations.geometry)
-    wholes = explain_by_systems(m, u, q, systems, config.p_false_alarm)
     if found is None:
-        return InitialFix(None, "the first solutions fail their test", (), q, len(u) - unknowns)
-    # Which of two systems moved is ambiguous in a snapshot: it must not start in between.
-    several = len(found.subset) > 1
-    if several and any(whole.cost - found.cost < SEPARABLE_COST for whole in wholes):
-        return InitialFix(None, SYSTEMS_CONTRADICT, (), q, len(u) - unknowns)
-    # Three wrong of eight look like two others: the rest must test each other.
-    redundancy = len(u) - len(found.subset) - unknowns
-    if several and redundancy < TRUSTED_START_DOF:
-        reason = (
-            f"{len(found.subset)} of {len(u)} satellites contradict the others, which are too few"
-        )
-        return InitialFix(None, reason, (), q, len(u) - unknowns)
-    keep = np.ones(len(u), dtype=bool)
-    keep[list(found.subset)] = False
-    faulty = tuple(observation.satellites[i] for i in found.subset)
-    observation = observation.select(keep)
-    solved = solve_snapshot(observation, x, config, ionosphere)
-    if solved is None:
-        return InitialFix(None, _too_few(observation))
-    innovations = predict_innovations(observation, solved, config.sigma, ionosphere)
-    design = design_matrix(-innovations.geometry[:, 0:3], observation.measurements.system)
-    motion = _motion(t_us, solved, observation, innovations, design, config)
-    dof = len(u) - unknowns
-    threshold = chi_square_threshold(dof, config.p_false_alarm)
-    return InitialFix(motion, "", faulty, q, dof, threshold, _bounds(innovations, solved, config))
+        return (), "the first solutions fail their test"
+    if len(found.subset) > 1:
+        # Which of two systems moved is ambiguous in a snapshot: it must not start in between.
+        systems = group_by_system(innovations.geometry)
+        wholes = explain_by_systems(m, u, q, systems, config.p_false_alarm)
+        if any(whole.cost - found.cost < SEPARABLE_COST for whole in wholes):
+            return (), SYSTEMS_CONTRADICT
+        # Three wrong of eight look like two others: the rest must test each other.
+        if len(u) - len(found.subset) - unknowns < TRUSTED_START_DOF:
+            few = "satellites contradict the others, which are too few"
+            return (), f"{len(found.subset)} of {len(u)} {few}"
+    return found.subset, ""
 
 
-def _bounds(innovations: Innovations, x: Vector, config: DetectorConfig) -> PositionBounds:
-    """The bounds of a snapshot x (21,) of its own satellites."""
-    offset_m = np.zeros(len(innovations.range_m))
-    return bound_position(
-        innovations, np.zeros(3), offset_m, x[:3], VarianceFactor(), config.sigma.slow**2
-    )
+def _design(observation: EpochObservation, innovations: Innovations) -> Vector:
+    """The geometry (n, 3 + systems) of a snapshot."""
+    return design_matrix(-innovations.geometry[:, 0:3], observation.measurements.system)
 
 
 def _too_few(observation: EpochObservation) -> str:
@@ -194,10 +172,7 @@ def solve_snapshot(
             observation, x if near else x + 1e-3, config.sigma, ionosphere
         )
         weight = innovations.variance**-0.5 if near else np.ones(len(innovations.range_m))
-        design = (
-            design_matrix(-innovations.geometry[:, 0:3], observation.measurements.system)
-            * weight[:, None]
-        )
+        design = _design(observation, innovations) * weight[:, None]
         step, _, rank, _ = np.linalg.lstsq(design, innovations.range_m * weight, rcond=1e-10)
         if rank < design.shape[1] or not np.isfinite(step).all():
             return None
@@ -222,13 +197,8 @@ def _motion(
     # The cofactor of the solution is the covariance, since the rows are weighted by their sigmas.
     cofactor = np.linalg.inv(weighted.T @ weighted)
     p[range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] = ISB_SIGMA_M**2
-    spots = [
-        0,
-        1,
-        2,
-        CLOCK,
-        *(ISB + kind - 1 for kind in systems_of(observation.measurements.system)[1:]),
-    ]
+    others = systems_of(observation.measurements.system)[1:]
+    spots = [0, 1, 2, CLOCK, *(ISB + kind - 1 for kind in others)]
     p[np.ix_(spots, spots)] = cofactor
     x = x.copy()
     # No attitude yet: any unit quaternion, with 3 rad of sigma below.
@@ -248,6 +218,5 @@ def _motion(
     else:
         p[[3, 4, 5], [3, 4, 5]] = UNKNOWN_SPEED_SIGMA_MPS**2
         p[DRIFT, DRIFT] = UNKNOWN_DRIFT_SIGMA_MPS**2
-    for at, sigma in ((PSI, 3.0), (BG, GYRO_BIAS_SIGMA_RPS), (BA, ACCEL_BIAS_SIGMA_MPS2)):
-        p[range(at, at + 3), range(at, at + 3)] = sigma**2
+    set_unknown_attitude(p)
     return MotionEstimate(t_us, x, p)

@@ -191,6 +191,6 @@ def _update_with_ramps(
         normal = normal_equations(used.geometry, used.variance, used.range_m)
     update = update_filter(motion, normal, verdict.rates.usable)
     step = EpochStep(prediction.transition, prediction.dt_s, t_us, motion.inertial)
-    windows, strongest = update_windows(ramps.windows, motion.p, update, step, config.ramp_numbers)
+    windows, strongest = update_windows(ramps.windows, motion.p, update, step, config)
     ramps = ramps._replace(windows=windows)
     return FilterUpdate(update.motion, ramps, evaluate_ramps(ramps, strongest, config))

@@ -1,16 +1,7 @@
-"""The bank of leave-out tests as algebra on one inverse.
+"""The bank of leave-out tests as algebra on one inverse (docs/fdi.md, "The main test").
 
 With M the inverse covariance of the innovations v (or, for a snapshot, the weight matrix projected
-off the unknowns), u = M v and q = v' M v, the statistic with the set K of measurements left out is
-
-    q_K = q - u_K' inv(M_KK) u_K
-
-and the statistic with nuisance parameters along the columns of G freed is
-
-    q_G = q - (G'u)' inv(G' M G) (G'u)
-
-Both are chi-square with as many degrees of freedom fewer as M_KK or G'MG has rank, when the rest
-is free of faults (block inversion; for a Kalman innovation as for least squares).
+off the unknowns), u = M v and q = v' M v.
 """
 
 import math

@@ -17,6 +17,7 @@ from analysis.fusion.graph_start import start_from_filter
 from analysis.fusion.smoother import Fusion
 from analysis.recordings.read_recordings import read_rinex, read_rinex_samples
 from analysis.results import Decision, FusedState
+from analysis.samples.block import block_of, split_at_events
 from analysis.samples.sample import Epoch, TruthSample
 from mavproxy_fault.app.replaying.rinex_faults import faulted_lines
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
@@ -33,9 +34,9 @@ def judged(samples, systems):
     references, fusion = NavigationDetector(config), Fusion(CONFIG, config)
     detecting, fusing = references.new_state(), fusion.new_state()
     results = []
-    for sample in samples:
-        found, detecting = references.step(sample, detecting)
-        said, fusing = fusion.step(sample, found, detecting.detector.core, fusing)
+    for piece in split_at_events(block_of(samples)):
+        found, detecting = references.step_piece(piece, detecting)
+        said, fusing = fusion.step(piece, found, detecting.detector.core, fusing)
         results += [*found, *said]
     decisions = [r for r in results if isinstance(r, Decision)]
     return decisions, [r for r in results if isinstance(r, FusedState)], detecting.detector.core

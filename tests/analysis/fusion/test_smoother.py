@@ -15,6 +15,7 @@ from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph import Graph
 from analysis.fusion.smoother import Fusion
 from analysis.results import Decision, FusedState
+from analysis.samples.block import split_at_events
 from analysis.samples.sample import BaroSample, Epoch, ImuSample, TruthSample
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.numerics.earth_kernel import ned_axes
@@ -41,7 +42,8 @@ def fused(rows, config=None):
     state = fusion.new_state()
     states = []
     for sample, results, core in rows:
-        said, state = fusion.step(sample, results, core, state)
+        (piece,) = split_at_events(sample)
+        said, state = fusion.step(piece, results, core, state)
         states += said
     return states
 

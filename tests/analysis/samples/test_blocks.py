@@ -88,10 +88,8 @@ def test_a_block_gives_back_the_samples_it_was_made_of(frames, tmp_path: Path):
     assert again.beside == block.beside
 
 
-def test_a_fix_that_does_not_count_ends_no_slice_but_the_last():
+def test_each_event_ends_a_slice():
     fixes = [GpsFix(t, 0.0, 0.0, 0.0, None, 3, 9, 1.0, 1.0, "HIL_GPS") for t in range(4)]
     broadcast = IonosphereSample(9, (0.0,) * 4, (0.0,) * 4)
     block = block_of([fixes[0], fixes[1], broadcast, fixes[2], fixes[3]])
     assert [(p.first, p.last) for p in split_at_events(block)] == [(n, n) for n in range(5)]
-    cut = [(p.first, p.last) for p in split_at_events(block, lambda t_us: t_us == 0)]
-    assert cut == [(0, 0), (1, 2), (3, 4)]

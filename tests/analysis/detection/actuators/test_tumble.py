@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from analysis.detection.actuators.alarm_precedence import TUMBLING, apply_precedence
+from analysis.detection.actuators.alarm_precedence import TUMBLING, AlarmPrecedence
 from analysis.detection.actuators.tumble import TumbleState, track_tumble
 from analysis.results import SensorDecision
 from analysis.samples.block import Block, block_of
@@ -65,7 +65,5 @@ def test_with_a_lost_attitude_no_sensor_is_tested() -> None:
     alarm = SensorDecision(
         t_us=5, sensor="imu", statistic=None, threshold=None, dof=0, alarm=True, isolated=True
     )
-    found, _ = apply_precedence(
-        [(0, alarm), (1, alarm)], 1 << 62, np.array([False, True]), -(1 << 62)
-    )
+    found = AlarmPrecedence({}).apply([(0, alarm), (1, alarm)], 1 << 62, np.array([False, True]))
     assert [(one.alarm, one.reason) for _, one in found] == [(True, ""), (False, TUMBLING)]

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from analysis.detection.filter.inertial import ERROR_SIZE, X_SIZE, propagate_inertial
-from analysis.detection.filter.process_noise import NoiseDensities
+from analysis.detection.filter.process_noise import ProcessNoise
 
 RNG = np.random.default_rng(8)
 START_M = np.array([4.2e6, 6.0e5, 4.7e6])
 UPHOLDING_MPS2 = np.array([0.0, 0.0, -9.8])
 
-NO_NOISE = NoiseDensities(*(0.0,) * 8)
+NO_NOISE = ProcessNoise(**dict.fromkeys(ProcessNoise.__struct_fields__, 0.0))
 
 
 def moving() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ from analysis.results import Decision
 from analysis.samples.sample import Epoch, ImuSample, Sample
 
 CONFIG = DetectorConfig()
-FOR_EVER = DetectorConfig(sigma=SigmaModel(slow_s=1e12)).ramp_numbers
+FOR_EVER = SigmaModel(slow_s=1e12)
 NAMES = ("E05", "G12")
 
 
