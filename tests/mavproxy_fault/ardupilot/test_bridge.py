@@ -13,7 +13,6 @@ from pathlib import Path
 import pytest
 
 from mavproxy_fault.ardupilot.bridge_command import BridgeLoop, FlightEndError
-from mavproxy_fault.ardupilot.bridge_ports import Datagrams
 from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
 from mavproxy_fault.ardupilot.fed_autopilot import FedAutopilot
 from mavproxy_fault.ardupilot.hil_readings import Readings, TrueState
@@ -22,6 +21,7 @@ from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.tcp import TcpServer
+from mavproxy_fault.links.udp import UdpServer
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
@@ -165,7 +165,7 @@ def test_a_simulator_that_falls_silent_behind_a_proxy_is_reported_once():
         started, armed, steps, t_us = True, False, 0, 0
 
         def filenos(self):
-            return [quiet.fileno()]
+            return quiet.filenos()
 
         def read(self):
             return []
@@ -175,7 +175,7 @@ def test_a_simulator_that_falls_silent_behind_a_proxy_is_reported_once():
 
     with closing(TcpServer("127.0.0.1", 0)) as link, contextlib.ExitStack() as stack:
         peer = stack.enter_context(socket.create_connection(("127.0.0.1", link.port)))
-        quiet = stack.enter_context(closing(Datagrams()))
+        quiet = stack.enter_context(closing(UdpServer("127.0.0.1", 0)))
         while not link.peer_count:
             link.read()
         exchange = BridgeLoop(link, Autopilot(), messages.append, silence_s=0.1)
