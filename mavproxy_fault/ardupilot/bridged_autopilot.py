@@ -134,9 +134,10 @@ class BridgedAutopilot(FedAutopilot):
 
     def _start(self, discovered: DiscoveredVehicle) -> None:
         super()._start(discovered)
-        values = {**bridge_parameters(self._vehicle, discovered.sensors), **self._overrides}
+        rate_hz, battery_v = discovered.rate_hz, discovered.readings.battery_v
+        values = bridge_parameters(self._vehicle, rate_hz, discovered.sensors, battery_v)
+        values |= self._overrides
         (self._folder / PARAMETER_FILE).write_text(format_parameters(values))
-        rate_hz = discovered.sensors.rate_hz
         self._say(f"{self._command[0]}: starting in {self._folder} at {rate_hz:g} steps/s")
         self._process = start_process(
             self._command, self._folder, discovered.home, physics=self._physics.port,

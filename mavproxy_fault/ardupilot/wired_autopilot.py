@@ -66,7 +66,7 @@ class WiredAutopilot(FedAutopilot):
 
     def _start(self, discovered: DiscoveredVehicle) -> None:
         super()._start(discovered)
-        self._say(f"feeding the board at {discovered.sensors.rate_hz:g} steps/s")
+        self._say(f"feeding the board at {discovered.rate_hz:g} steps/s")
 
     def _write_mavlink(self, raw: bytes) -> None:
         self._mavlink.write(raw)

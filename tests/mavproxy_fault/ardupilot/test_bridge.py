@@ -16,7 +16,6 @@ from mavproxy_fault.ardupilot.bridge_command import BridgeLoop, FlightEndError
 from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
 from mavproxy_fault.ardupilot.fed_autopilot import FedAutopilot
 from mavproxy_fault.ardupilot.hil_readings import Readings, TrueState
-from mavproxy_fault.ardupilot.parameters import AvailableSensors
 from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
@@ -187,10 +186,10 @@ def test_a_simulator_that_falls_silent_behind_a_proxy_is_reported_once():
 
 def test_sitl_is_told_the_battery_and_the_loss_of_the_remote_control(tmp_path, monkeypatch):
     home = TrueState(0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, (0.0, 0.0, 0.0))
-    sensors = AvailableSensors(400.0, second_imu=False, second_gps=False, rangefinder=False)
     bridge, written = BridgedAutopilot(["true"], "copter", tmp_path, {}, print), list[bytes]()
     monkeypatch.setattr(bridge._mavlink, "write", written.append)
-    FedAutopilot._start(bridge, DiscoveredVehicle(Readings(), home, sensors))  # without a process
+    found = DiscoveredVehicle(Readings(), home, 400.0, frozenset())
+    FedAutopilot._start(bridge, found)  # without a process
 
     def receive(name, **values):
         layout = message_layout(name)
