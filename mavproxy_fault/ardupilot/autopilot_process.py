@@ -3,7 +3,6 @@
 import shlex
 import shutil
 import subprocess
-from dataclasses import dataclass
 from pathlib import Path
 
 from mavproxy_fault.ardupilot.child_process import die_with_parent
@@ -14,15 +13,6 @@ from mavproxy_fault.documents.errors import ConfigError
 OUTPUT_LOG = "autopilot.log"
 PARAMETER_FILE = "bridge.parm"
 SPEEDUP = 100  # unreachably high, so that the HIL link sets the pace, not ArduPilot's sleep
-
-
-@dataclass(frozen=True, slots=True)
-class Ports:
-    """Ports of the bridge on the loopback address."""
-
-    physics: int  # UDP
-    mavlink: int  # UDP
-    vectornav: int  # TCP
 
 
 def check_command(binary: str) -> list[str]:
@@ -44,25 +34,22 @@ def check_command(binary: str) -> list[str]:
 
 
 def start_process(
-    command: list[str], folder: Path, ports: Ports, home: TrueState
+    command: list[str], folder: Path, home: TrueState, *, physics: int, mavlink: int, vectornav: int
 ) -> "subprocess.Popen[bytes]":
-    """Start the program in `folder`, with the parameters of its `PARAMETER_FILE`."""
+    """Start the program in `folder`, with the parameters of its `PARAMETER_FILE`.
+
+    The bridge's ports on the loopback address are UDP for physics and MAVLink, TCP for the sensor.
+    """
     place = f"{home.lat_e7 * 1e-7:.7f},{home.lon_e7 * 1e-7:.7f},{home.alt_mm * 1e-3:.3f}"
     options = {
         "--model": "JSON:127.0.0.1",
         "--home": f"{place},{home.yaw_deg:.2f}",
         "--defaults": PARAMETER_FILE,
         "--speedup": str(SPEEDUP),
-        "--sim-port-out": str(ports.physics),
-        "--serial0": f"udpclient:127.0.0.1:{ports.mavlink}",
-        "--serial1": "none:",
-        "--serial2": "none:",
-        "--serial3": "none:",
-        "--serial4": "none:",
-        "--serial5": "none:",
-        "--serial6": f"tcpclient:127.0.0.1:{ports.vectornav}",
-        "--serial7": "none:",
-        "--serial8": "none:",
+        "--sim-port-out": str(physics),
+        **{f"--serial{number}": "none:" for number in range(9)},
+        "--serial0": f"udpclient:127.0.0.1:{mavlink}",
+        "--serial6": f"tcpclient:127.0.0.1:{vectornav}",
     }
     arguments = [word for option in options.items() for word in option]
     with replace_file(folder / OUTPUT_LOG) as output:

@@ -10,8 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from mavproxy_fault.ardupilot.autopilot_process import PARAMETER_FILE, Ports, start_process
-from mavproxy_fault.ardupilot.bridge_ports import Datagrams, SensorPort
+from mavproxy_fault.ardupilot.autopilot_process import PARAMETER_FILE, start_process
 from mavproxy_fault.ardupilot.child_process import describe_exit
 from mavproxy_fault.ardupilot.fed_autopilot import FedAutopilot
 from mavproxy_fault.ardupilot.feeding.companion import set_parameter
@@ -20,10 +19,13 @@ from mavproxy_fault.ardupilot.parameters import VehicleKind, bridge_parameters, 
 from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle
 from mavproxy_fault.documents.parameter_list import format_parameters
 from mavproxy_fault.links.link import Chunk
+from mavproxy_fault.links.tcp import TcpServer
+from mavproxy_fault.links.udp import UdpServer
 from mavproxy_fault.proxy.interfaces import NEVER_US
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 
+LOOPBACK = "127.0.0.1"
 POLL_S = 0.5  # between checks of the process
 END_S = 3.0  # for the autopilot to close its log
 STEP_US = 2500  # at 400 Hz: ArduPilot shuts down only while time advances
@@ -56,11 +58,12 @@ class BridgedAutopilot(FedAutopilot):
         say: Callable[[str], None],
         hil: str = "the HIL link",
     ) -> None:
-        super().__init__(SensorPort(), vehicle, say, hil)
+        self._sensor_port = TcpServer(LOOPBACK, 0)
+        super().__init__(self._sensor_port, vehicle, say, hil)
         check_parameters(overrides)
         self._command, self._overrides, self._folder = list(command), overrides, folder
         self._process: subprocess.Popen[bytes] | None = None
-        self._physics, self._mavlink = Datagrams(), Datagrams()
+        self._physics, self._mavlink = UdpServer(LOOPBACK, 0), UdpServer(LOOPBACK, 0)
         self._serve: dict[int, Callable[[], None]] = {}
         self._hil_parser, self._parser = Parser(), Parser()
         self._look_s, self._gone = 0.0, False
@@ -121,7 +124,7 @@ class BridgedAutopilot(FedAutopilot):
             self._process.terminate()
             until_s = time.monotonic() + END_S
             while self._process.poll() is None and time.monotonic() < until_s:
-                select.select([self._physics], [], [], 0.1)
+                select.select(self._physics.filenos(), [], [], 0.1)
                 self._drain()
             self._process.kill()
             self._process.wait()
@@ -131,16 +134,19 @@ class BridgedAutopilot(FedAutopilot):
 
     def _start(self, discovered: DiscoveredVehicle) -> None:
         super()._start(discovered)
-        values = {**bridge_parameters(self._vehicle, discovered.sensors), **self._overrides}
+        rate_hz, battery_v = discovered.rate_hz, discovered.readings.battery_v
+        values = bridge_parameters(self._vehicle, rate_hz, discovered.sensors, battery_v)
+        values |= self._overrides
         (self._folder / PARAMETER_FILE).write_text(format_parameters(values))
-        rate_hz = discovered.sensors.rate_hz
         self._say(f"{self._command[0]}: starting in {self._folder} at {rate_hz:g} steps/s")
-        ports = Ports(self._physics.port, self._mavlink.port, self._sensor.port)
-        self._process = start_process(self._command, self._folder, ports, discovered.home)
+        self._process = start_process(
+            self._command, self._folder, discovered.home, physics=self._physics.port,
+            mavlink=self._mavlink.port, vectornav=self._sensor_port.port,
+        )  # fmt: skip
         self._serve = {
-            self._physics.fileno(): self._serve_physics,
-            self._mavlink.fileno(): self._serve_mavlink,
-            self._sensor.fileno(): self._sensor.serve,
+            self._physics.filenos()[0]: self._serve_physics,
+            self._mavlink.filenos()[0]: self._serve_mavlink,
+            self._sensor.filenos()[0]: self._serve_sensor,
         }
         for descriptor in self._serve:
             self._epoll.register(descriptor, select.EPOLLIN)
@@ -184,7 +190,7 @@ class BridgedAutopilot(FedAutopilot):
             self._physics.write(line)
 
     def _serve_physics(self) -> None:
-        for data in self._physics.read():
+        for _, data in self._physics.read():
             packet = read_servos(data)
             if packet is not None:
                 self._take_outputs(packet)
@@ -199,7 +205,7 @@ class BridgedAutopilot(FedAutopilot):
         self._send_step()
 
     def _serve_mavlink(self) -> None:
-        for data in self._mavlink.read():
+        for _, data in self._mavlink.read():
             self._answers.append((TELEMETRY, data))
             for item in self._parser.push(data):
                 if isinstance(item, Frame):

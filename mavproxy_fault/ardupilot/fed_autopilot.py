@@ -7,9 +7,9 @@ import select
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 
-from mavproxy_fault.ardupilot.bridge_ports import SensorPort
 from mavproxy_fault.ardupilot.feeding.companion import CompanionFeed
 from mavproxy_fault.ardupilot.feeding.sensor_feed import SensorFeed
+from mavproxy_fault.ardupilot.feeding.vectornav_handshake import Handshake
 from mavproxy_fault.ardupilot.outputs import (
     MODE_ARMED,
     actuator_frame,
@@ -19,7 +19,7 @@ from mavproxy_fault.ardupilot.outputs import (
 from mavproxy_fault.ardupilot.parameters import VehicleKind
 from mavproxy_fault.ardupilot.preparation import Preparation, SetupRequest
 from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle, SensorDiscovery
-from mavproxy_fault.links.link import Chunk, LinkCounters
+from mavproxy_fault.links.link import Chunk, Link, LinkCounters
 from mavproxy_fault.wire.frame import Frame
 
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1
@@ -31,8 +31,8 @@ class FedAutopilot(ABC):
 
     Parameters
     ----------
-    sensor : SensorPort
-        The port of its VectorNav.
+    sensor : Link
+        The serial device of its VectorNav; closed with it.
     vehicle : {"copter", "plane"}
     say : callable
         Receives status lines for the user.
@@ -51,7 +51,7 @@ class FedAutopilot(ABC):
 
     def __init__(
         self,
-        sensor: SensorPort,
+        sensor: Link,
         vehicle: VehicleKind,
         say: Callable[[str], None],
         hil: str,
@@ -62,7 +62,8 @@ class FedAutopilot(ABC):
         self.counters = LinkCounters(bytes_in=1)
         self.armed = False
         self.steps = self.t_us = 0
-        self._sensor, self._say, self._requests = sensor, say, requests
+        self._sensor, self._handshake = sensor, Handshake()
+        self._say, self._requests = say, requests
         self._vehicle, self._channels = vehicle, CHANNELS[vehicle]
         self._discovery = SensorDiscovery(hil)
         self._discovered: DiscoveredVehicle | None = None
@@ -119,12 +120,21 @@ class FedAutopilot(ABC):
         readings, truth = discovered.readings, discovered.readings.truth
         assert truth is not None, "the truth ends a step"
         self.steps, self.t_us = self.steps + 1, truth.t_us
-        fed = self._feed.step(readings, truth, self._sensor.outputs)
+        fed = self._feed.step(readings, truth, self._handshake.outputs)
         readings.begin_step()
-        self._sensor.write(fed.vectornav)
+        if fed.vectornav:
+            self._sensor.write(fed.vectornav)
         if (request := self._preparation.due(truth.t_us)) is not None:
             self._write_mavlink(request)
         return fed.physics
+
+    def _serve_sensor(self) -> None:
+        """Reply to the commands of the VectorNav's driver."""
+        for _, data in self._sensor.read():
+            if data:
+                self._sensor.write(self._handshake.received(data))
+            else:
+                self._handshake = Handshake()  # a new connection configures the sensor again
 
     def _receive_mavlink(self, frame: Frame) -> None:
         """Read whether it is armed, and its answers to the setup requests."""

@@ -4,11 +4,10 @@ ArduPilot's quad X has the motor order of PX4's `none_iris`: front right, rear l
 rear right. The first four outputs of a plane are aileron, elevator, throttle and rudder.
 """
 
-import struct
 from collections.abc import Callable, Sequence
 
 from mavproxy_fault.wire.dialect import message_layout
-from mavproxy_fault.wire.frame import frame_payload
+from mavproxy_fault.wire.frame import build_frame
 
 HIL_ACTUATOR_CONTROLS = message_layout("HIL_ACTUATOR_CONTROLS")
 CHANNELS = 16
@@ -19,7 +18,6 @@ LOW_US, MIDDLE_US, SPAN_US = 1000, 1500, 1000
 RUDDER, THROTTLE, LEFT_AILERON, RIGHT_AILERON, ELEVATOR = 2, 4, 5, 6, 7
 
 Channels = Callable[[Sequence[int]], list[float]]
-_PAYLOAD = struct.Struct("<QQ16fB")
 
 
 def motor_channels(pwm_us: Sequence[int]) -> list[float]:
@@ -56,8 +54,10 @@ def actuator_frame(
     stamp_us: int, channels: Sequence[float], seq: int, *, armed: bool, system: int = 1
 ) -> bytes:
     """Encode the HIL_ACTUATOR_CONTROLS that answers the step at `stamp_us`."""
-    mode = MODE_ENABLED | (MODE_ARMED if armed else 0)
-    payload = _PAYLOAD.pack(stamp_us, FLAG_LOCKSTEP, *channels, mode)
-    return frame_payload(
-        HIL_ACTUATOR_CONTROLS, payload, seq=seq, system=system, component=COMPONENT
-    )
+    values = {
+        "time_usec": stamp_us,
+        "flags": FLAG_LOCKSTEP,
+        "controls": channels,
+        "mode": MODE_ENABLED | (MODE_ARMED if armed else 0),
+    }
+    return build_frame(HIL_ACTUATOR_CONTROLS, values, seq=seq, system=system, component=COMPONENT)

@@ -5,8 +5,7 @@ bypass the faults. AHRS_EKF_TYPE 3 is EKF3; type 10 is an estimator that reads t
 parameters are set under their names before and since 4.6; ArduPilot ignores unknown names.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
 from typing import Literal
 
 from mavproxy_fault.ardupilot.feeding.optical_flow import SCALER
@@ -39,6 +38,8 @@ SENSORS = {
     # SITL has 0.001 and 1.001; before 4.6 offsets of a missing IMU prevent arming
     **{f"INS_ACC2OFFS_{axis}": 0 for axis in "XYZ"},
     **{f"INS_ACC2SCAL_{axis}": 1 for axis in "XYZ"},
+    "SIM_IMU_COUNT": 0,
+    "EK3_IMU_MASK": 1,
     "BATT_MONITOR": 0,
     "SIM_FLOAT_EXCEPT": 0,  # a NaN reaches the estimator, as on hardware, without a trap
     "FS_THR_ENABLE": 0,  # there is no RC transmitter
@@ -92,44 +93,38 @@ FIXED_PARAMETERS = {  # a user's parameter file must not change these
 }
 
 
-@dataclass(frozen=True, slots=True)
-class AvailableSensors:
-    """Sensors on the HIL link beyond the required ones, and the step rate."""
+SensorName = tuple[str, int]  # of a message and, where it has one, its id
+# What a sensor on the HIL link beyond the required ones adds
+SENSOR_PARAMETERS: dict[SensorName, dict[str, float]] = {
+    ("HIL_SENSOR", 1): {"SIM_IMU_COUNT": 1, "EK3_IMU_MASK": 3},
+    ("HIL_GPS", 1): {"GPS2_TYPE": 14, "GPS_TYPE2": 14},  # GPS_INPUT
+    # facing down
+    ("DISTANCE_SENSOR", 0): {"RNGFND1_TYPE": 10, "RNGFND1_ORIENT": 25, "RNGFND1_MAX_CM": 4000},
+    ("HIL_OPTICAL_FLOW", 0): {"FLOW_TYPE": 5, "FLOW_FXSCALER": SCALER, "FLOW_FYSCALER": SCALER},
+    # by MAVLink; the user selects what EKF3 uses (EK3_SRC1_*)
+    ("ODOMETRY", 0): {"VISO_TYPE": 1},
+    ("VISION_POSITION_ESTIMATE", 0): {"VISO_TYPE": 1},
+    ("RC_CHANNELS", 0): {"FS_THR_ENABLE": 1},  # its loss means return
+}
 
-    rate_hz: float
-    second_imu: bool
-    second_gps: bool
-    rangefinder: bool
-    flow: bool = False
-    vision: bool = False
-    remote_control: bool = False
-    battery_v: float | None = None
 
-
-def bridge_parameters(kind: VehicleKind, sensors: AvailableSensors) -> dict[str, float]:
-    """Return every parameter that the bridge sets."""
+def bridge_parameters(
+    kind: VehicleKind, rate_hz: float, sensors: Collection[SensorName], battery_v: float | None
+) -> dict[str, float]:
+    """Return every parameter that the bridge sets, by step rate, sensors and full battery."""
     values: dict[str, float] = {**SENSORS, **KIND_PARAMETERS[kind]}
-    values["SIM_RATE_HZ"] = round(sensors.rate_hz)
-    values["SCHED_LOOP_RATE"] = min(round(sensors.rate_hz), LOOP_HZ[kind])
-    values["EAHRS_RATE"] = min(round(sensors.rate_hz), 400)
-    values["SIM_IMU_COUNT"] = 1 if sensors.second_imu else 0
-    values["EK3_IMU_MASK"] = 3 if sensors.second_imu else 1
-    if sensors.second_gps:
-        values |= {"GPS2_TYPE": 14, "GPS_TYPE2": 14}  # GPS_INPUT
-    if sensors.rangefinder:  # DISTANCE_SENSOR, facing down
-        values |= {"RNGFND1_TYPE": 10, "RNGFND1_ORIENT": 25, "RNGFND1_MAX_CM": 4000}
-    if sensors.flow:  # OPTICAL_FLOW
-        values |= {"FLOW_TYPE": 5, "FLOW_FXSCALER": SCALER, "FLOW_FYSCALER": SCALER}
-    if sensors.vision:  # by MAVLink; the user selects what EKF3 uses (EK3_SRC1_*)
-        values["VISO_TYPE"] = 1
-    if sensors.remote_control:
-        values["FS_THR_ENABLE"] = 1  # its loss means return
-    if sensors.battery_v is not None:
+    values["SIM_RATE_HZ"] = round(rate_hz)
+    values["SCHED_LOOP_RATE"] = min(round(rate_hz), LOOP_HZ[kind])
+    values["EAHRS_RATE"] = min(round(rate_hz), 400)
+    for sensor, added in SENSOR_PARAMETERS.items():
+        if sensor in sensors:
+            values |= added
+    if battery_v is not None:
         values |= {
             "BATT_MONITOR": 4,
-            "BATT_LOW_VOLT": RETURN_SHARE * sensors.battery_v,
+            "BATT_LOW_VOLT": RETURN_SHARE * battery_v,
             "BATT_FS_LOW_ACT": 2,  # return
-            "BATT_CRT_VOLT": LAND_SHARE * sensors.battery_v,
+            "BATT_CRT_VOLT": LAND_SHARE * battery_v,
             "BATT_FS_CRT_ACT": 1,  # land
         }
     return values

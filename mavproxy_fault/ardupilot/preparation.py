@@ -13,10 +13,8 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 
-COMMAND_LONG, PARAM_REQUEST_READ = (
-    message_layout("COMMAND_LONG"),
-    message_layout("PARAM_REQUEST_READ"),
-)
+COMMAND_LONG = message_layout("COMMAND_LONG")
+PARAM_REQUEST_READ = message_layout("PARAM_REQUEST_READ")
 PREFLIGHT_CALIBRATION, SET_MESSAGE_INTERVAL, FIXED_MAG_CAL_YAW = 241, 511, 42006  # MAV_CMD_
 STREAM_INTERVALS_US = {  # requested from a board, which streams nothing by itself: 6 kB/s
     "SERVO_OUTPUT_RAW": 10_000.0,
@@ -26,6 +24,7 @@ STREAM_INTERVALS_US = {  # requested from a board, which streams nothing by itse
 }
 SIMPLE_ACCEL = 4.0  # PREFLIGHT_CALIBRATION.param5
 ACCEPTED = 0  # MAV_RESULT_
+TO_AUTOPILOT = {"target_system": 1, "target_component": 1}
 REPEAT_US = 1_000_000  # chosen: prompt at start-up without flooding a board
 
 REQUIRED_PARAMETERS = {"AHRS_EKF_TYPE": 3.0, "EAHRS_TYPE": 1.0}
@@ -52,11 +51,14 @@ class Preparation:
     """
 
     def __init__(self, at_rest: TrueState, first: Sequence[SetupRequest] = ()) -> None:
+        accelerometer = {"param5": SIMPLE_ACCEL}
+        lat_deg, lon_deg = at_rest.lat_e7 * 1e-7, at_rest.lon_e7 * 1e-7
+        compass = {"param1": at_rest.yaw_deg, "param3": lat_deg, "param4": lon_deg}
         self._pending = [
             *first,
             *map(_read_back, REQUIRED_PARAMETERS),
-            _accelerometer(),
-            _compass(at_rest),
+            _command("accelerometer calibration", PREFLIGHT_CALIBRATION, accelerometer),
+            _command("compass calibration", FIXED_MAG_CAL_YAW, compass),
         ]
         self._again_us = 0
 
@@ -96,15 +98,9 @@ def _read_back(name: str) -> SetupRequest:
             )
         return True
 
-    values = {
-        "param_id": name.encode(),
-        "param_index": -1,
-        "target_system": 1,
-        "target_component": 1,
-    }
-    return SetupRequest(
-        name, build_frame(PARAM_REQUEST_READ, values, component=COMPONENT), answered
-    )
+    values = {"param_id": name.encode(), "param_index": -1, **TO_AUTOPILOT}
+    raw = build_frame(PARAM_REQUEST_READ, values, component=COMPONENT)
+    return SetupRequest(name, raw, answered)
 
 
 def stream_requests() -> list[SetupRequest]:
@@ -119,20 +115,6 @@ def stream_requests() -> list[SetupRequest]:
     ]
 
 
-def _accelerometer() -> SetupRequest:
-    values = {"param5": SIMPLE_ACCEL}
-    return _command("accelerometer calibration", PREFLIGHT_CALIBRATION, values)
-
-
-def _compass(at_rest: TrueState) -> SetupRequest:
-    values = {
-        "param1": at_rest.yaw_deg,
-        "param3": at_rest.lat_e7 * 1e-7,
-        "param4": at_rest.lon_e7 * 1e-7,
-    }
-    return _command("compass calibration", FIXED_MAG_CAL_YAW, values)
-
-
 def _command(name: str, number: int, parameters: dict[str, float]) -> SetupRequest:
     def answered(frame: Frame) -> bool:
         return (
@@ -141,5 +123,5 @@ def _command(name: str, number: int, parameters: dict[str, float]) -> SetupReque
             and frame.number("result") == ACCEPTED
         )
 
-    values = {"command": number, "target_system": 1, "target_component": 1, **parameters}
+    values = {"command": number, **TO_AUTOPILOT, **parameters}
     return SetupRequest(name, build_frame(COMMAND_LONG, values, component=COMPONENT), answered)

@@ -6,13 +6,12 @@ The simulator runs without answers until then.
 from dataclasses import dataclass
 
 from mavproxy_fault.ardupilot.hil_readings import BARO, MAG, Readings, TrueState
-from mavproxy_fault.ardupilot.parameters import AvailableSensors
+from mavproxy_fault.ardupilot.parameters import SensorName
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.wire.frame import Frame
 
 DISCOVERY_US = 1_000_000  # chosen: every sensor of a HIL simulator reports within a second
 SLOWEST_HZ, FASTEST_HZ = 50.0, 1000.0  # step rates accepted by the bridge
-VISION = "ODOMETRY", "VISION_POSITION_ESTIMATE"
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +20,8 @@ class DiscoveredVehicle:
 
     readings: Readings
     home: TrueState
-    sensors: AvailableSensors
+    rate_hz: float  # of the steps
+    sensors: frozenset[SensorName]
 
 
 class SensorDiscovery:
@@ -37,7 +37,7 @@ class SensorDiscovery:
         self._where = where
         self._readings = Readings()
         self._stamps: list[int] = []
-        self._sensors: set[tuple[str, int]] = set()
+        self._sensors: set[SensorName] = set()
         self._first: TrueState | None = None
 
     def update(self, frame: Frame) -> DiscoveredVehicle | None:
@@ -60,25 +60,17 @@ class SensorDiscovery:
         if self._stamps[-1] - self._stamps[0] < DISCOVERY_US:
             return None
         check_sensors(self._readings, self._where)
-        return DiscoveredVehicle(self._readings, self._first, self._fitted())
+        sensors = frozenset(self._sensors)
+        return DiscoveredVehicle(self._readings, self._first, self._rate_hz(), sensors)
 
-    def _fitted(self) -> AvailableSensors:
+    def _rate_hz(self) -> float:
         rate_hz = 1e6 * (len(self._stamps) - 1) / (self._stamps[-1] - self._stamps[0])
         if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
             raise ConfigError(
                 f"{self._where}: runs at {rate_hz:g} steps/s; ArduPilot needs "
                 f"{SLOWEST_HZ:g} to {FASTEST_HZ:g}, best 400 for a copter"
             )
-        return AvailableSensors(
-            rate_hz,
-            second_imu=("HIL_SENSOR", 1) in self._sensors,
-            second_gps=("HIL_GPS", 1) in self._sensors,
-            rangefinder=("DISTANCE_SENSOR", 0) in self._sensors,
-            flow=("HIL_OPTICAL_FLOW", 0) in self._sensors,
-            vision=any((name, 0) in self._sensors for name in VISION),
-            remote_control=("RC_CHANNELS", 0) in self._sensors,
-            battery_v=self._readings.battery_v,
-        )
+        return rate_hz
 
 
 def check_sensors(readings: Readings, where: str) -> None:

@@ -7,7 +7,6 @@ effect on arrival, so the simulator must run in real time.
 import select
 from collections.abc import Callable
 
-from mavproxy_fault.ardupilot.bridge_ports import SensorPort
 from mavproxy_fault.ardupilot.fed_autopilot import FedAutopilot
 from mavproxy_fault.ardupilot.outputs import CHANNELS as OUTPUTS
 from mavproxy_fault.ardupilot.parameters import VehicleKind
@@ -32,10 +31,10 @@ class WiredAutopilot(FedAutopilot):
         say: Callable[[str], None],
         hil: str,
     ) -> None:
-        super().__init__(SensorPort(vectornav), vehicle, say, hil, stream_requests())
+        super().__init__(vectornav, vehicle, say, hil, stream_requests())
         self._mavlink, self._inbox = mavlink, Inbox(mavlink)
         # Either kind of link has one descriptor that stays valid when devices are replugged.
-        for fileno in (self._sensor.fileno(), *mavlink.filenos()):
+        for fileno in (*vectornav.filenos(), *mavlink.filenos()):
             self._epoll.register(fileno, select.EPOLLIN)
 
     @property
@@ -54,7 +53,7 @@ class WiredAutopilot(FedAutopilot):
         ConfigError
             If it does not use the VectorNav.
         """
-        self._sensor.serve()
+        self._serve_sensor()
         for frame in self._inbox.frames():
             self._receive_mavlink(frame)
         return self.take_answers()
@@ -67,7 +66,7 @@ class WiredAutopilot(FedAutopilot):
 
     def _start(self, discovered: DiscoveredVehicle) -> None:
         super()._start(discovered)
-        self._say(f"feeding the board at {discovered.sensors.rate_hz:g} steps/s")
+        self._say(f"feeding the board at {discovered.rate_hz:g} steps/s")
 
     def _write_mavlink(self, raw: bytes) -> None:
         self._mavlink.write(raw)

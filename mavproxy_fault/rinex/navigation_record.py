@@ -21,14 +21,21 @@ from typing import NamedTuple
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rinex.gps_clock import BEIDOU_OFFSET_S, WEEK_S, normalized, time_of_words
 from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
-from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, l1_health
+from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, ephemeris_of
 
-# Four per line. DELAY is T_GD, BGD(E1,E5a) or BeiDou's T_GD1; DELAY_B is Galileo's BGD(E1,E5b), for
-# GPS the IODC; SOURCE is Galileo's data source, for GPS the codes on L2.
-(IODE, CRS, DELTA_N, M0, CUC, ECCENTRICITY, CUS, SQRT_A) = range(8)
-(TOE, CIC, OMEGA0, CIS, I0, CRC, OMEGA, OMEGA_DOT) = range(8, 16)
-(IDOT, SOURCE, WEEK, L2P, ACCURACY, HEALTH, DELAY, DELAY_B) = range(16, 24)
-FIT = 25  # interval [h] of GPS, in the last line
+# Four per line, with the names of `Ephemeris`. "delay" is T_GD, BGD(E1,E5a) or BeiDou's T_GD1;
+# "delay_b" is Galileo's BGD(E1,E5b), for GPS the IODC; "code" is Galileo's data source, for GPS the
+# codes on L2; "fit" is the interval [h] of GPS.
+NUMBERS = (
+    "iode", "crs_m", "delta_n_rps", "m0_rad",
+    "cuc_rad", "eccentricity", "cus_rad", "sqrt_a",
+    "toe_s", "cic_rad", "omega0_rad", "cis_rad",
+    "i0_rad", "crc_m", "omega_rad", "omega_dot_rps",
+    "idot_rps", "code", "week", "l2p",
+    "accuracy", "health", "delay", "delay_b",
+    "sent", "fit",
+)  # fmt: skip
+SOURCE, WEEK, L2P, DELAY_B = map(NUMBERS.index, ("code", "week", "l2p", "delay_b"))
 # Unused fields by system, which may be blank or damaged.
 UNUSED = {"G": {WEEK}, "J": {WEEK, L2P}, "E": {WEEK, L2P}, "C": {SOURCE, WEEK, L2P, DELAY_B}}
 MESSAGES = ("LNAV", "INAV", "FNAV", "FDMA", "D1", "D2")  # RINEX 4 names the message of each record
@@ -170,45 +177,24 @@ def _record(lines: Sequence[str], at: int, system_2: str) -> NavigationRecord | 
 
 def kepler_ephemeris(record: NavigationRecord) -> Ephemeris:
     """The ephemeris of a record of GPS, Galileo, BeiDou or QZSS."""
-    v, system = record.numbers, record.satellite[0]
+    v, system = dict(zip(NUMBERS, record.numbers, strict=False)), record.satellite[0]
     galileo, lnav = system == "E", system in "GJ"
-    toe_s = v[TOE] + (BEIDOU_OFFSET_S if system == "C" else 0.0)
-    week, toc_s = record.toc
-    week, toe_s = normalized(week + round((toc_s - toe_s) / WEEK_S), toe_s)
-    accuracy = ura_index(v[ACCURACY]) if lnav else sisa_index(v[ACCURACY]) if galileo else 0
-    health = int(v[HEALTH])
-    return Ephemeris(
-        satellite=record.satellite,
-        week=week,
-        toe_s=toe_s,
-        toc_s=toc_s,
-        af0_s=record.clock[0],
-        af1=record.clock[1],
-        af2_per_s=record.clock[2],
-        iode=int(v[IODE]),
-        iodc=int(v[DELAY_B]) if lnav else int(v[IODE]),
-        sqrt_a=v[SQRT_A],
-        eccentricity=v[ECCENTRICITY],
-        i0_rad=v[I0],
-        omega0_rad=v[OMEGA0],
-        omega_rad=v[OMEGA],
-        m0_rad=v[M0],
-        delta_n_rps=v[DELTA_N],
-        omega_dot_rps=v[OMEGA_DOT],
-        idot_rps=v[IDOT],
-        crs_m=v[CRS],
-        crc_m=v[CRC],
-        cus_rad=v[CUS],
-        cuc_rad=v[CUC],
-        cis_rad=v[CIS],
-        cic_rad=v[CIC],
-        group_delay_s=v[DELAY_B] if galileo and not record.is_fnav else v[DELAY],
-        group_delay_e5a_s=v[DELAY] if galileo else 0.0,
-        accuracy=accuracy,
-        health=_galileo_health(health) if galileo else l1_health(record.satellite, health),
-        codes=(int(v[SOURCE]), int(v[L2P])) if system == "G" else (0, 0),
-        long_fit=system == "G" and v[FIT] > 4.0,
-    )
+    toe_s = v["toe_s"] + (BEIDOU_OFFSET_S if system == "C" else 0.0)
+    week, v["toc_s"] = record.toc
+    week, v["toe_s"] = normalized(week + round((v["toc_s"] - toe_s) / WEEK_S), toe_s)
+    v["af0_s"], v["af1"], v["af2_per_s"] = record.clock
+    v["group_delay_s"] = v["delay_b"] if galileo and not record.is_fnav else v["delay"]
+    v["group_delay_e5a_s"] = v["delay"] if galileo else 0.0
+    indices = {"G": ura_index, "J": ura_index, "E": sisa_index}
+    v["accuracy"] = indices[system](v["accuracy"]) if system in indices else 0
+    v["long_fit"] = system == "G" and v["fit"] > 4.0
+    if lnav:
+        v["iodc"] = v["delay_b"]
+    if galileo:
+        v["health"] = _galileo_health(int(v["health"]))
+    if system != "G":
+        v["code"] = v["l2p"] = 0.0
+    return ephemeris_of(record.satellite, week, v)
 
 
 def ura_index(accuracy_m: float) -> int:

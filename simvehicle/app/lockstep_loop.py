@@ -13,6 +13,7 @@ from simvehicle.app.sim_progress import Progress
 from simvehicle.hil.lockstep import AutopilotSilentError, Lockstep
 from simvehicle.hil.plant_changes import PlantChanges
 from simvehicle.sensors.readings import Reading
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.actuators import CHANNEL_COUNT, Mix, read_controls
 from simvehicle.vehicles.body import Controls, Truth
 
@@ -26,19 +27,6 @@ STALE_AUTOPILOT_ADVICE = (
 )
 FIRST_MESSAGE_TIMEOUT_S = 5.0  # after this a connected peer that only listens is served too
 FIRST_ANSWER_TIMEOUT_S = 15.0  # until a warning; PX4 needs 3 s to start, a busy machine 10 s
-
-
-class SteppedSimulation(Protocol):
-    """The interface of a simulation that the loop steps."""
-
-    def step(self, controls: Controls) -> tuple[int, Truth, Sequence[Reading]]:
-        """Take one step; returns its time [us], the truth and the readings."""
-
-    def prepare(self) -> None:
-        """Compute the part of the next step that does not depend on its controls."""
-
-    def plant(self, name: str, value: float | None) -> None:
-        """Set a plant fault; None removes it."""
 
 
 class FramePacker(Protocol):
@@ -80,11 +68,8 @@ class LockstepLoop:
 
     Parameters
     ----------
-    simulation : Simulated
-    hil : Packer
-        Packs the frames.
-    inbox : Incoming
-        The HIL link.
+    simulation, hil, inbox
+        What is stepped, what packs its frames, and the frames of the HIL link.
     mix : Mix
         Maps autopilot channels to actuators.
     speed : float
@@ -105,7 +90,7 @@ class LockstepLoop:
 
     def __init__(
         self,
-        simulation: SteppedSimulation,
+        simulation: Simulation,
         hil: FramePacker,
         inbox: FrameSource,
         mix: Mix,

@@ -35,21 +35,18 @@ class Pace:
 
     def late_s(self, t_us: int, now_s: float) -> float:
         """Seconds by which the step after the one at `t_us` is overdue; 0 before the first."""
-        if self._start is None or math.isinf(self.speed):
-            return 0.0
-        wall_s, from_us = self._start
-        return max((now_s - wall_s) - (t_us - from_us) * 1e-6 / self.speed, 0.0)
+        return max(-self._ahead_s(t_us, now_s), 0.0)
 
     def wait_s(self, t_us: int, now_s: float) -> float:
         """Seconds to wait before the step at `t_us`; 0 when it is due."""
-        # At full speed every step is due.
-        if math.isinf(self.speed):
-            return 0.0
-        if self._start is None:
-            self._start = (now_s, t_us)
-        wall_s, from_us = self._start
-        ahead_s = (t_us - from_us) * 1e-6 / self.speed - (now_s - wall_s)
-        if ahead_s < -LARGEST_LAG_S:
-            # Restart the count: catching up after a long pause would flood the peers.
+        ahead_s = self._ahead_s(t_us, now_s)
+        # Restart the count: catching up after a long pause would flood the peers.
+        if self._start is None or ahead_s < -LARGEST_LAG_S:
             self._start = (now_s, t_us)
         return max(ahead_s, 0.0)
+
+    def _ahead_s(self, t_us: int, now_s: float) -> float:
+        if self._start is None or math.isinf(self.speed):  # at full speed every step is due
+            return 0.0
+        wall_s, from_us = self._start
+        return (t_us - from_us) * 1e-6 / self.speed - (now_s - wall_s)

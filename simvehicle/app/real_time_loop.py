@@ -5,9 +5,10 @@ An autopilot on its own board has its own clock: its HIL_ACTUATOR_CONTROLS take 
 
 import time
 
-from simvehicle.app.lockstep_loop import FramePacker, FrameSource, LockstepLoop, SteppedSimulation
+from simvehicle.app.lockstep_loop import FramePacker, FrameSource, LockstepLoop
 from simvehicle.app.sim_progress import Progress
-from simvehicle.hil.lockstep import SILENCE_TIMEOUT_S, AutopilotSilentError, Lockstep
+from simvehicle.hil.lockstep import Lockstep
+from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.actuators import Mix
 
 OVERRUN_S = 1e-3  # a step that starts later is an overrun; chosen: a quarter of the IMU's 4 ms step
@@ -19,22 +20,8 @@ class FreeRunning(Lockstep):
 
     def received(self, stamp_us: int, now_s: float) -> None:
         """Record that controls have arrived, for whichever step."""
-        self.answered = True
-        self._heard_s = now_s
-
-    def wait_s(self, now_s: float) -> float:
-        """Always 0: no step waits.
-
-        Raises
-        ------
-        AutopilotSilentError
-            When controls have stopped for longer than the silence timeout.
-        """
-        if self.silent_s(now_s) > self._silence_s:
-            raise AutopilotSilentError(
-                f"the autopilot has sent nothing for {SILENCE_TIMEOUT_S:g} s"
-            )
-        return 0.0
+        super().received(stamp_us, now_s)
+        self.locked = False
 
     def silent_s(self, now_s: float) -> float:
         """Seconds since the last controls; 0 before the first."""
@@ -75,7 +62,7 @@ class RealTimeLoop(LockstepLoop):
 
     def __init__(
         self,
-        simulation: SteppedSimulation,
+        simulation: Simulation,
         hil: FramePacker,
         inbox: FrameSource,
         mix: Mix,

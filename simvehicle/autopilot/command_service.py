@@ -40,6 +40,7 @@ class CommandRequest:
 
 # Whether it is accepted (else denied), another result, or the messages of an accepted one
 CommandAnswer = bool | CommandResult | list[Message]
+CommandHandler = Callable[[CommandRequest, Snapshot], CommandAnswer]
 
 
 class Commands:
@@ -56,7 +57,7 @@ class Commands:
         self._flight = flight
         self._streams = streams
         self._parameters = parameters
-        self._handlers: dict[int, Callable[[CommandRequest, Snapshot], CommandAnswer]] = {
+        self._handlers: dict[int, CommandHandler] = {
             Command.ARM_DISARM: self._arm,
             Command.TAKEOFF: self._take_off,
             Command.LAND: lambda request, snapshot: flight.set_mode(FlightMode.LAND),
@@ -64,21 +65,19 @@ class Commands:
             Command.MISSION_START: self._start_mission,
             Command.SET_MODE: self._set_mode,
             Command.REPOSITION: self._reposition,
-            Command.PAUSE_CONTINUE: self._pause,
-            Command.CHANGE_SPEED: self._speed,
-            Command.SET_MISSION_CURRENT: self._set_current,
-            Command.GET_HOME_POSITION: lambda request, snapshot: [
-                telemetry.home_position(snapshot)
-            ],
+            Command.PAUSE_CONTINUE: lambda request, snapshot: flight.set_mode(
+                FlightMode.MISSION if request.params[0] == 1 else FlightMode.HOLD
+            ),
+            Command.CHANGE_SPEED: lambda request, snapshot: flight.set_speed(request.params[1]),
+            Command.SET_MISSION_CURRENT: lambda request, snapshot: flight.set_current(
+                integer_parameter(request.params[0])
+            ),
+            Command.GET_HOME_POSITION: _answer_with(telemetry.home_position),
             Command.GET_MESSAGE_INTERVAL: self._get_interval,
             Command.SET_MESSAGE_INTERVAL: self._set_interval,
             Command.REQUEST_MESSAGE: self._request_message,
-            Command.REQUEST_PROTOCOL_VERSION: lambda request, snapshot: [
-                telemetry.protocol_version(snapshot)
-            ],
-            Command.REQUEST_AUTOPILOT_CAPABILITIES: lambda request, snapshot: [
-                telemetry.autopilot_version(snapshot)
-            ],
+            Command.REQUEST_PROTOCOL_VERSION: _answer_with(telemetry.protocol_version),
+            Command.REQUEST_AUTOPILOT_CAPABILITIES: _answer_with(telemetry.autopilot_version),
             Command.INJECT_FAILURE: self._inject,
         }
 
@@ -145,16 +144,6 @@ class Commands:
         yaw = request.params[3]
         return self._flight.go_to(request.lat_deg, request.lon_deg, self._amsl(request), yaw)
 
-    def _pause(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
-        resumed = request.params[0] == 1
-        return self._flight.set_mode(FlightMode.MISSION if resumed else FlightMode.HOLD)
-
-    def _speed(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
-        return self._flight.set_speed(request.params[1])
-
-    def _set_current(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
-        return self._flight.set_current(integer_parameter(request.params[0]))
-
     def _get_interval(self, request: CommandRequest, snapshot: Snapshot) -> CommandAnswer:
         number = integer_parameter(request.params[0])
         interval = self._streams.interval_us(number)
@@ -194,6 +183,10 @@ class Commands:
     def _amsl(self, request: CommandRequest) -> float:
         relative = request.frame in RELATIVE_FRAMES
         return request.z_m + (self._flight.home.alt_m if relative else 0.0)
+
+
+def _answer_with(make: Callable[[Snapshot], Message]) -> CommandHandler:
+    return lambda request, snapshot: [make(snapshot)]
 
 
 def integer_parameter(value: float) -> int:

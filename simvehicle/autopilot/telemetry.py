@@ -26,11 +26,7 @@ from simvehicle.vehicles.body import Truth
 NO_GPS_FIX = 1  # GPS_FIX_TYPE_NO_FIX
 # major, minor, patch, FIRMWARE_VERSION_TYPE_OFFICIAL: the emulated PX4 release
 FIRMWARE_VERSION = 1 << 24 | 18 << 16 | 0 << 8 | 255
-PRESENT_SENSORS = (
-    SysStatusSensor.GYRO | SysStatusSensor.ACCEL | SysStatusSensor.MAG |
-    SysStatusSensor.ABSOLUTE_PRESSURE | SysStatusSensor.GPS | SysStatusSensor.GEOFENCE |
-    SysStatusSensor.AHRS | SysStatusSensor.BATTERY | SysStatusSensor.PREARM_CHECK
-)  # fmt: skip
+PRESENT_SENSORS = sum(SysStatusSensor)
 
 
 # Name and standard mode of each, in the order of the list
@@ -250,10 +246,7 @@ def autopilot_version(snapshot: Snapshot) -> Message:
     """The capabilities that the services implement."""
     return make_message(
         "AUTOPILOT_VERSION",
-        capabilities=Capability.MISSION_INT
-        | Capability.COMMAND_INT
-        | Capability.PARAM_ENCODE_BYTEWISE
-        | Capability.MAVLINK2,
+        capabilities=sum(Capability),
         flight_sw_version=FIRMWARE_VERSION,
         uid=1,
     )

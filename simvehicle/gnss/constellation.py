@@ -14,14 +14,9 @@ from pathlib import Path
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rinex.gps_clock import WEEK_S, gps_time
-from mavproxy_fault.rtcm.ephemeris_messages import (
-    SEMICIRCLE,
-    Ephemeris,
-    decode_ephemeris,
-    encode_ephemeris,
-)
+from mavproxy_fault.rtcm.ephemeris_messages import SEMICIRCLE, Ephemeris
 from simvehicle.gnss.gnss_config import GnssConfig
-from simvehicle.gnss.navigation_file import SHIPPED, NavigationData, read_navigation
+from simvehicle.gnss.navigation_file import SHIPPED, NavigationData, as_broadcast, read_navigation
 
 SHIPPED_TIME = datetime(2021, 3, 19, 12, 0, 0)
 SHIPPED_LON_RAD = math.radians(139.522)  # of the site, which is 35.339 degrees north
@@ -47,9 +42,7 @@ class Constellation:
         A satellite without a valid ephemeris has None. `tow_s` counts from the start of `week`.
         """
         return tuple(
-            k
-            if k is not None and self._age_s(sets[k], tow_s) <= sets[k].fit_half_s
-            else self._nearest(sets, tow_s)
+            k if k is not None and self._is_valid(sets[k], tow_s) else self._nearest(sets, tow_s)
             for sets, k in zip(self.ephemerides, present, strict=True)
         )
 
@@ -65,13 +58,12 @@ class Constellation:
         return min(ends)
 
     def _nearest(self, sets: tuple[Ephemeris, ...], tow_s: float) -> int | None:
-        ages = [self._age_s(e, tow_s) for e in sets]
         # Of two equally old ones the later, as receivers use the last one read.
-        best = min(range(len(sets)), key=lambda k: (ages[k], -k))
-        return best if ages[best] <= sets[best].fit_half_s else None
+        best = min(range(len(sets)), key=lambda k: (abs(tow_s - self._toe_s(sets[k])), -k))
+        return best if self._is_valid(sets[best], tow_s) else None
 
-    def _age_s(self, ephemeris: Ephemeris, tow_s: float) -> float:
-        return abs(tow_s - self._toe_s(ephemeris))
+    def _is_valid(self, ephemeris: Ephemeris, tow_s: float) -> bool:
+        return abs(tow_s - self._toe_s(ephemeris)) <= ephemeris.fit_half_s
 
     def _toe_s(self, ephemeris: Ephemeris) -> float:
         return ephemeris.toe_s + (ephemeris.week - self.week) * WEEK_S
@@ -99,16 +91,10 @@ def build_constellation(
         midnight = time.replace(hour=0, minute=0, second=0, microsecond=0)
         seconds = (time - midnight).total_seconds()
         week, start_s = gps_time(time.year, time.month, time.day, seconds)
-    constellation = Constellation(
-        tuple(ephemerides),
-        tuple(ephemerides.values()),
-        navigation.alpha + navigation.beta,
-        week,
-        start_s,
-    )
-    if not any(
-        k is not None for k in constellation.choose_ephemerides(start_s, [None] * len(ephemerides))
-    ):
+    names, sets = tuple(ephemerides), tuple(ephemerides.values())
+    klobuchar = navigation.alpha + navigation.beta
+    constellation = Constellation(names, sets, klobuchar, week, start_s)
+    if set(constellation.choose_ephemerides(start_s, [None] * len(sets))) <= {None}:
         raise ConfigError(
             f"{path}: no satellite of {' and '.join(config.systems)} is valid at "
             f"GPS week {week}, {start_s:.0f} s; set `time` within 2 h (GPS) or 4 h (Galileo) of "
@@ -142,17 +128,12 @@ def _rotate_over(navigation: NavigationData, lat_rad: float, lon_rad: float) -> 
         return navigation
     ephemerides = {
         name: tuple(
-            # Encode and decode: the simulated orbit is exactly the broadcast one.
-            decode_ephemeris(
-                encode_ephemeris(
-                    replace(
-                        e,
-                        omega0_rad=e.omega0_rad + shift_rad + mirror,
-                        omega_rad=e.omega_rad + mirror,
-                    )
-                ),
-                # The GPS message has the week modulo 1024: this is the last rollover.
-                e.week // 1024 * 1024,
+            as_broadcast(
+                replace(
+                    e,
+                    omega0_rad=e.omega0_rad + shift_rad + mirror,
+                    omega_rad=e.omega_rad + mirror,
+                )
             )
             for e in sets
         )

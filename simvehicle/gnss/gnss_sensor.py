@@ -11,14 +11,14 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.rinex.gps_clock import WEEK_S
+from mavproxy_fault.rinex.gps_clock import normalized
 from mavproxy_fault.rtcm.ephemeris_messages import encode_ephemeris
 from mavproxy_fault.wire.plant_names import GROUPS, SATELLITE, SPOOF
 from simvehicle.gnss.constellation import Constellation
 from simvehicle.gnss.gnss_config import GnssConfig
 from simvehicle.gnss.gnss_state import Broadcast, GnssState, SignalFaults
 from simvehicle.gnss.pseudorange import NO_COEFFICIENTS, Atmosphere
-from simvehicle.gnss.receiver import ReceiverFix, solve_receiver_fix
+from simvehicle.gnss.receiver import NO_FIX, ReceiverFix, solve_receiver_fix
 from simvehicle.gnss.satellite_orbits import select_orbits, tabulate_orbits
 from simvehicle.gnss.signal_errors import (
     CN0_CORRELATION_S,
@@ -27,7 +27,7 @@ from simvehicle.gnss.signal_errors import (
     step_gauss_markov,
 )
 from simvehicle.gnss.signal_kernel import CODE, RATE, SignalChannel, simulate_signals
-from simvehicle.gnss.spoofing import spoofed_places
+from simvehicle.gnss.spoofing import DELAY, spoofed_places
 from simvehicle.gnss.tracking import (
     LONG_AGO_US,
     Stamps,
@@ -130,7 +130,7 @@ class GnssSensor:
         noise = rng.standard_normal((2, count))
         if state.faults.off:
             off = powered_off_tracking(count, cold=True)
-            return [], replace(state, tracking=off, fix=None, sent_us=self._unsent)
+            return [], replace(state, tracking=off, fix=NO_FIX, sent_us=self._unsent)
         tow_s = self.constellation.start_s + t_us * S_PER_US
         elevation, cn0, code, rate = self._signals(truth, tow_s, state, noise, step_s)
         tracking = self._tracking(elevation, cn0, state, t_us)
@@ -197,9 +197,9 @@ class GnssSensor:
         if state.faults.spoof.any():
             for spoof in spoofed_places(state.faults.spoof, state.last_spoof, step_s):
                 # The same clock and noise, as the receiver is the same: only the geometry changes.
-                spoofed = self._received(spoof.spoofed_position(here), tow_s, state, noise)
-                out[CODE, spoof.satellites] = spoofed[CODE, spoof.satellites] + spoof.delay_m
-                out[RATE, spoof.satellites] = spoofed[RATE, spoof.satellites] + spoof.delay_mps
+                spoofed, own = self._received(spoof.position(here), tow_s, state, noise), spoof.mask
+                out[CODE, own] = spoofed[CODE, own] + spoof.offset_m[DELAY]
+                out[RATE, own] = spoofed[RATE, own] + spoof.offset_mps[DELAY]
         return out
 
     def _received(self, where: Vector, tow_s: float, state: GnssState, noise: Vector) -> Vector:
@@ -288,12 +288,10 @@ class GnssSensor:
         rate: Vector,
         cn0: Vector,
     ) -> PseudorangeReading:
-        # Internally seconds continue beyond the week's end; a receiver's roll over.
-        weeks, tow_s = divmod(tow_s, WEEK_S)
         return PseudorangeReading(
             t_us,
-            self.constellation.week + int(weeks),
-            tow_s,
+            # Internally seconds continue beyond the week's end; a receiver's roll over.
+            *normalized(self.constellation.week, tow_s),
             tuple(self.constellation.satellites[k] for k in pick),
             code[pick],
             rate[pick],

@@ -4,7 +4,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from simvehicle.gnss.receiver import ReceiverFix
+from simvehicle.gnss.receiver import NO_FIX, ReceiverFix
 from simvehicle.gnss.satellite_orbits import Orbits
 from simvehicle.gnss.signal_errors import ReceiverClock
 from simvehicle.gnss.tracking import Stamps, Tracking
@@ -55,4 +55,4 @@ class GnssState(msgspec.Struct, frozen=True):
     sent_us: Stamps
     faults: SignalFaults
     last_spoof: Vector
-    fix: ReceiverFix | None = None
+    fix: ReceiverFix = NO_FIX

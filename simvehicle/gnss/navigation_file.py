@@ -28,6 +28,13 @@ class NavigationData:
     beta: tuple[float, ...]
 
 
+def as_broadcast(ephemeris: Ephemeris) -> Ephemeris:
+    """The ephemeris with the resolution of its message, so that simulated and broadcast orbit are
+    the same; ValueError if it does not fit."""
+    # The GPS message has the week modulo 1024: this is the last rollover.
+    return decode_ephemeris(encode_ephemeris(ephemeris), ephemeris.week // 1024 * 1024)
+
+
 def read_navigation(path: Path) -> NavigationData:
     """Read the navigation file at `path`.
 
@@ -45,9 +52,8 @@ def read_navigation(path: Path) -> NavigationData:
     for record in records:
         if record.satellite[0] not in "GE" or record.is_fnav:
             continue
-        read = kepler_ephemeris(record)
         try:
-            ephemeris = decode_ephemeris(encode_ephemeris(read), read.week // 1024 * 1024)
+            ephemeris = as_broadcast(kepler_ephemeris(record))
         except ValueError:
             continue
         if ephemeris.health == 0:

@@ -38,6 +38,7 @@ CONVERGED_M = 1e-4  # chosen: far below any measurement error
 SMALL_STEP_M = 10.0  # the linearisation is valid over such a step
 ZENITH_SIGMA_M = 0.5  # assumed pseudorange error at the zenith
 SINE_MIN = 0.05  # of 3 degrees, the lowest elevation of the atmospheric models
+PLACE = ("r_ecef_m", "lat_rad", "lon_rad", "height_m")  # of a fix
 RANK_TOLERANCE = 1e-6  # of the largest singular value; below it the geometry counts as singular
 
 
@@ -61,13 +62,16 @@ class ReceiverFix(msgspec.Struct, frozen=True):
     sigma_ned_m: Vector
 
 
+NO_FIX = ReceiverFix(0, 0, STILL, 0.0, 0.0, 0.0, STILL, np.zeros(0), np.full(3, np.inf))
+
+
 def solve_receiver_fix(
     orbits: Orbits,
     tow_s: float,
     pseudorange_m: Vector,
     doppler_mps: Vector,
     atmosphere: Atmosphere,
-    last: ReceiverFix | None = None,
+    last: ReceiverFix = NO_FIX,
 ) -> ReceiverFix:
     """Position, velocity and clock of one epoch.
 
@@ -91,8 +95,8 @@ def solve_receiver_fix(
         return _no_fix(count, last)
     clocks = np.array([[letter == system for system in systems] for letter in letters], float)
     # The last solution is a start only if its clocks are those of the same systems.
-    near = last is not None and last.fix_type >= 2 and len(last.clock_m) == len(systems)
-    if last is not None and near:
+    near = last.fix_type >= 2 and len(last.clock_m) == len(systems)
+    if near:
         x = np.concatenate([last.r_ecef_m, last.clock_m])
     else:
         x = np.concatenate([_point_below_satellites(orbits, tow_s), np.zeros(len(systems))])
@@ -164,11 +168,10 @@ def _least_squares(design: Vector, residual: Vector, root: Vector) -> Vector | N
     return np.asarray(solution, np.float64) if rank == design.shape[1] else None
 
 
-def _known_height(last: ReceiverFix | None) -> tuple[float, float]:
+def _known_height(last: ReceiverFix) -> tuple[float, float]:
     """Assumed height [m] and its sigma: the last one, or the ellipsoid."""
-    if last is not None and last.r_ecef_m.any():
-        return last.height_m, LAST_HEIGHT_SIGMA_M
-    return 0.0, SEA_HEIGHT_SIGMA_M
+    known = last.r_ecef_m.any()
+    return last.height_m, LAST_HEIGHT_SIGMA_M if known else SEA_HEIGHT_SIGMA_M
 
 
 def _point_below_satellites(orbits: Orbits, tow_s: float) -> Vector:
@@ -178,12 +181,7 @@ def _point_below_satellites(orbits: Orbits, tow_s: float) -> Vector:
     return np.asarray(EARTH_RADIUS_M * middle / np.linalg.norm(middle))
 
 
-def _no_fix(count: int, last: ReceiverFix | None) -> ReceiverFix:
+def _no_fix(count: int, last: ReceiverFix) -> ReceiverFix:
     """A result without a fix; it keeps the last position."""
-    still, unknown = np.zeros(3), np.full(3, np.inf)
-    if last is None:
-        place, lat, lon, height = still, 0.0, 0.0, 0.0
-    else:
-        place, lat, lon, height = last.r_ecef_m, last.lat_rad, last.lon_rad, last.height_m
-    fix_type = min(count, 1)
-    return ReceiverFix(fix_type, count, place, lat, lon, height, still, np.zeros(0), unknown)
+    place = {name: getattr(last, name) for name in PLACE}
+    return msgspec.structs.replace(NO_FIX, fix_type=min(count, 1), satellites=count, **place)

@@ -15,28 +15,18 @@ from mavproxy_fault.wire.plant_names import FASTEST_SPOOF_MPS
 
 Vector = NDArray[np.float64]
 
-NORTH, DOWN, DELAY = slice(0, 2), 2, 3  # rows of `SignalFaults.spoof`
+DELAY = 3  # the row of `SignalFaults.spoof` after the position
 
 
 class SpoofedPlace(NamedTuple):
     """One spoofed position and time: `offset_m` (4,) is north, east, down and delay [m],
-    `offset_mps` (4,) their rate [m/s], `satellites` (n,) the mask of spoofed satellites."""
+    `offset_mps` (4,) their rate [m/s], `mask` (n,) that of the spoofed satellites."""
 
     offset_m: Vector
     offset_mps: Vector
-    satellites: NDArray[np.bool_]
+    mask: NDArray[np.bool_]
 
-    @property
-    def delay_m(self) -> float:
-        """The delay added to every range [m]."""
-        return float(self.offset_m[DELAY])
-
-    @property
-    def delay_mps(self) -> float:
-        """The rate of the delay [m/s]."""
-        return float(self.offset_mps[DELAY])
-
-    def spoofed_position(self, here: Vector) -> Vector:
+    def position(self, here: Vector) -> Vector:
         """The spoofed latitude, longitude [rad], height [m] and velocity NED (6,)."""
         meridian_m, prime_m = curvature_radii(here[0])
         north_m, east_m, down_m = self.offset_m[:DELAY].tolist()

@@ -7,6 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from simvehicle.guidance.mission import MissionPath
 
 _SEARCH_POINTS = 400  # chosen: points ahead among which the nearest is searched; 2 km at 5 m
@@ -43,12 +45,8 @@ class PathTrack:
     def __init__(self, path: MissionPath) -> None:
         self.path = path
         self.index = 0
-        self._north = path.north_m.tolist()
-        self._east = path.east_m.tolist()
-        self._course = path.course_rad.tolist()
-        self._curvature = path.curvature_pm.tolist()
-        self._height = path.height_m.tolist()
-        self._speed = path.speed_mps.tolist()
+        columns = (path.north_m, path.east_m, path.course_rad, path.curvature_pm)
+        self._points = np.column_stack([*columns, path.height_m, path.speed_mps]).tolist()
 
     @property
     def leg(self) -> int:
@@ -58,33 +56,22 @@ class PathTrack:
     @property
     def finished(self) -> bool:
         """Whether the last point is reached."""
-        return self.index >= len(self._north) - 1
+        return self.index >= len(self._points) - 1
 
     def setpoint_from(self, north_m: float, east_m: float, ahead_m: float) -> Setpoint:
         """The setpoint at the path point beside the vehicle; progress never goes back."""
-        i, last = self.index, len(self._north) - 1
-        for _ in range(_SEARCH_POINTS):
-            along = (north_m - self._north[i]) * math.cos(self._course[i]) + (
-                east_m - self._east[i]
-            ) * math.sin(self._course[i])
-            if along < self.path.spacing_m or i >= last:
+        last = len(self._points) - 1
+        for i in range(self.index, min(self.index + _SEARCH_POINTS, last) + 1):
+            north, east, course, bend, height, speed = self._points[i]
+            dn, de = north_m - north, east_m - east
+            along = dn * math.cos(course) + de * math.sin(course)
+            if along < self.path.spacing_m:
                 break
-            i += 1
         self.index = i
-        course = self._course[i]
-        dn, de = north_m - self._north[i], east_m - self._east[i]
-        along = dn * math.cos(course) + de * math.sin(course)
-        bend = self._curvature[i]
         # The path deviates from its tangent by half the curvature times the distance squared.
         error = -dn * math.sin(course) + de * math.cos(course) - 0.5 * bend * along * along
         j = min(last, i + round(ahead_m / self.path.spacing_m))
-        return Setpoint(
-            course + bend * along,
-            error,
-            self._curvature[j],
-            self._height[i],
-            self._speed[i],
-        )
+        return Setpoint(course + bend * along, error, self._points[j][3], height, speed)
 
 
 @dataclass(slots=True)

@@ -4,12 +4,11 @@ This lets a proxy change them on the way: they go out as frames in PX4's channel
 `simvehicle.vehicles.actuators`) and come back as controls.
 """
 
-import struct
 from collections.abc import Sequence
 
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.wire.dialect import message_layout
-from mavproxy_fault.wire.frame import Frame, frame_payload
+from mavproxy_fault.wire.frame import Frame, build_frame
 from simvehicle.vehicles.actuators import (
     ARMED_FLAG,
     CHANNEL_COUNT,
@@ -32,7 +31,6 @@ ACTUATOR_CHANNELS: dict[str, tuple[tuple[int, float], ...]] = {
     "rudder": ((RUDDER, -1.0),),
     "throttle": ((THROTTLE, 1.0),),
 }
-_PAYLOAD = struct.Struct("<QQ16fB")
 
 
 class ActuatorCommands:
@@ -52,10 +50,9 @@ class ActuatorCommands:
         for value, outputs in zip(values.tolist(), self._channels, strict=True):
             for channel, sign in outputs:
                 channels[channel] = sign * value
-        payload = _PAYLOAD.pack(t_us, 0, *channels, ARMED_FLAG)
-        raw = frame_payload(
-            HIL_ACTUATOR_CONTROLS, payload, seq=self._seq, system=SYSTEM, component=COMPONENT
-        )
+        fields = {"time_usec": t_us, "controls": channels, "mode": ARMED_FLAG}
+        source = {"seq": self._seq, "system": SYSTEM, "component": COMPONENT}
+        raw = build_frame(HIL_ACTUATOR_CONTROLS, fields, **source)
         self._seq = (self._seq + 1) % 256
         return raw
 

@@ -13,8 +13,9 @@ import numpy as np
 from mavproxy_fault.numerics.crc import slicing_tables
 from mavproxy_fault.rtcm.msm7 import encode_epoch
 from mavproxy_fault.rtcm.transport import tunnel_frames
-from mavproxy_fault.wire.dialect import Layout, message_layout
+from mavproxy_fault.wire.dialect import Layout
 from mavproxy_fault.wire.frame import build_frame
+from mavproxy_fault.wire.parser import walk_frames
 from simvehicle.hil import hil_messages
 from simvehicle.hil.frame_kernel import IDS, PACKER, pack_sensors, pack_truth
 from simvehicle.hil.hil_messages import Message
@@ -26,10 +27,7 @@ from simvehicle.sensors.readings import (
     Reading,
 )
 
-HEARTBEAT = message_layout("HEARTBEAT")
-
 IMU_IDS, MAG_IDS, BARO_IDS = IDS, 2, 2  # PX4 ignores higher ids
-OVERHEAD, LENGTH_AT = 12, 1  # of a frame: header and checksum; place of its payload's length
 
 START_US = 1_000_000  # timestamp of t_us = 0, as PX4 refuses 0
 HEARTBEAT_US = 1_000_000
@@ -93,7 +91,8 @@ class HilPacker:
         t_us = int(flight["t_us"][0])
         self.step_us = t_us + self.start_us
         pack_sensors(flight, sensors, self.records)
-        out = _split(self.packed_bytes())
+        packed = self.packed_bytes()
+        out = [packed[start:end] for start, end, _ in walk_frames(packed)]
         for reading in readings:
             if isinstance(reading, (PseudorangeReading, EphemerisReading)):
                 for message in rtcm_messages(reading):
@@ -131,26 +130,14 @@ class HilPacker:
         return frames
 
     def _heartbeat(self) -> Message:
-        return HEARTBEAT, {
-            "type": self._mav_type,
-            "autopilot": AUTOPILOT_INVALID,
-            "mavlink_version": 3,
-        }
+        return hil_messages.make_message(
+            "HEARTBEAT", type=self._mav_type, autopilot=AUTOPILOT_INVALID, mavlink_version=3
+        )
 
     def _build(self, layout: Layout, values: Mapping[str, object]) -> bytes:
         seq = int(self._packer["seq"])
         self._packer["seq"] = (seq + 1) & 0xFF
         return build_frame(layout, values, seq=seq, **self._source)
-
-
-def _split(data: bytes) -> list[bytes]:
-    """The frames of a step's bytes."""
-    found, at = [], 0
-    while at < len(data):
-        end = at + OVERHEAD + data[at + LENGTH_AT]
-        found.append(data[at:end])
-        at = end
-    return found
 
 
 def rtcm_messages(reading: PseudorangeReading | EphemerisReading) -> list[bytes]:

@@ -35,24 +35,15 @@ UNUSED_CELLS = (0xFFFF,) * 9  # BATTERY_STATUS.voltages after the first: the pac
 TEMPERATURE_UNKNOWN = 0x7FFF
 STRONGEST_RSSI = 254  # of RC_CHANNELS.rssi
 
-HIL_GPS = message_layout("HIL_GPS")
-DISTANCE_SENSOR = message_layout("DISTANCE_SENSOR")
-HIL_OPTICAL_FLOW = message_layout("HIL_OPTICAL_FLOW")
-ODOMETRY = message_layout("ODOMETRY")
-VISION_POSITION_ESTIMATE = message_layout("VISION_POSITION_ESTIMATE")
-BATTERY_STATUS = message_layout("BATTERY_STATUS")
-RC_CHANNELS = message_layout("RC_CHANNELS")
-
 
 def make_message(name: str, **values: object) -> Message:
     """Make the message `name`; omitted fields are zero."""
     return message_layout(name), values
 
 
-def statustext(text: str, severity: int = 6) -> Message:
-    """STATUSTEXT; severity 6 is MAV_SEVERITY_INFO."""
-    # 50 bytes is the field's size.
-    return make_message("STATUSTEXT", severity=severity, text=text.encode()[:50])
+def statustext(text: str) -> Message:
+    """STATUSTEXT for information (MAV_SEVERITY_INFO)."""
+    return make_message("STATUSTEXT", severity=6, text=text.encode())
 
 
 def round_within(value: float, low: int, high: int) -> int:
@@ -66,7 +57,7 @@ def hil_gps(reading: GpsReading, t_us: int) -> Message:
     speed = math.hypot(north, east)
     moving = speed >= COURSE_SPEED_MPS
     course = math.degrees(math.atan2(east, north)) % 360.0
-    return HIL_GPS, {
+    return message_layout("HIL_GPS"), {
         "time_usec": t_us,
         "fix_type": reading.fix_type,
         "lat": round(reading.lat_deg * 1e7),
@@ -86,7 +77,7 @@ def hil_gps(reading: GpsReading, t_us: int) -> Message:
 
 def distance_sensor(reading: RangeReading, t_us: int) -> Message:
     """DISTANCE_SENSOR: a downward laser."""
-    return DISTANCE_SENSOR, {
+    return message_layout("DISTANCE_SENSOR"), {
         "time_boot_ms": t_us // 1000 & 0xFFFFFFFF,
         "min_distance": round_within(reading.min_m * 100, 0, 0xFFFF),
         "max_distance": round_within(reading.max_m * 100, 0, 0xFFFF),
@@ -102,7 +93,7 @@ def hil_optical_flow(reading: FlowReading, t_us: int) -> Message:
     """HIL_OPTICAL_FLOW: the flow of a downward camera, integrated since the last message."""
     flow_x, flow_y = reading.flow_xy_rad
     gyro_x, gyro_y, gyro_z = reading.gyro_xyz_rad
-    return HIL_OPTICAL_FLOW, {
+    return message_layout("HIL_OPTICAL_FLOW"), {
         "time_usec": t_us,
         "integration_time_us": round(reading.integration_s * 1e6),
         "integrated_x": flow_x,
@@ -118,11 +109,7 @@ def hil_optical_flow(reading: FlowReading, t_us: int) -> Message:
 
 def vision_message(reading: VisionReading, t_us: int) -> Message:
     """ODOMETRY or VISION_POSITION_ESTIMATE, depending on the sensor's configuration."""
-    return (
-        odometry_message(reading, t_us)
-        if reading.odometry
-        else vision_position_estimate(reading, t_us)
-    )
+    return (odometry_message if reading.odometry else vision_position_estimate)(reading, t_us)
 
 
 def odometry_message(reading: VisionReading, t_us: int) -> Message:
@@ -130,22 +117,15 @@ def odometry_message(reading: VisionReading, t_us: int) -> Message:
 
     The covariances are upper triangles of 6x6 matrices, row by row; attitude is unknown (NaN).
     """
-    x, y, z = reading.r_ned_m
-    vx, vy, vz = rotate_to_body(reading.q_nb, reading.v_ned_mps)
-    return ODOMETRY, {
+    velocity = rotate_to_body(reading.q_nb, reading.v_ned_mps)
+    return message_layout("ODOMETRY"), {
         "time_usec": t_us,
         "frame_id": LOCAL_NED,
         "child_frame_id": BODY_FRD,
-        "x": x,
-        "y": y,
-        "z": z,
+        **dict(zip("xyz", reading.r_ned_m, strict=True)),
         "q": reading.q_nb,
-        "vx": vx,
-        "vy": vy,
-        "vz": vz,
-        "rollspeed": math.nan,
-        "pitchspeed": math.nan,
-        "yawspeed": math.nan,
+        **dict(zip(("vx", "vy", "vz"), velocity, strict=True)),
+        **dict.fromkeys(("rollspeed", "pitchspeed", "yawspeed"), math.nan),
         "pose_covariance": _covariance_triangle(reading.sigma_r_m**2),
         "velocity_covariance": _covariance_triangle(reading.sigma_v_mps**2),
         "estimator_type": VISION,
@@ -155,16 +135,11 @@ def odometry_message(reading: VisionReading, t_us: int) -> Message:
 
 def vision_position_estimate(reading: VisionReading, t_us: int) -> Message:
     """VISION_POSITION_ESTIMATE: the pose only, with Euler angles."""
-    x, y, z = reading.r_ned_m
-    roll, pitch, yaw = euler_angles(reading.q_nb)
-    return VISION_POSITION_ESTIMATE, {
+    angles = euler_angles(reading.q_nb)
+    return message_layout("VISION_POSITION_ESTIMATE"), {
         "usec": t_us,
-        "x": x,
-        "y": y,
-        "z": z,
-        "roll": roll,
-        "pitch": pitch,
-        "yaw": yaw,
+        **dict(zip("xyz", reading.r_ned_m, strict=True)),
+        **dict(zip(("roll", "pitch", "yaw"), angles, strict=True)),
         "covariance": _covariance_triangle(reading.sigma_r_m**2),
     }
 
@@ -177,7 +152,7 @@ def drawn_mah(before: BatteryReading | None, reading: BatteryReading) -> float:
 
 def battery_status(reading: BatteryReading, consumed_mah: float) -> Message:
     """BATTERY_STATUS: the battery pack as one cell."""
-    return BATTERY_STATUS, {
+    return message_layout("BATTERY_STATUS"), {
         "current_consumed": round(consumed_mah),
         "energy_consumed": -1,  # not measured
         "temperature": TEMPERATURE_UNKNOWN,
@@ -191,7 +166,7 @@ def battery_status(reading: BatteryReading, consumed_mah: float) -> Message:
 def rc_channels(reading: RemoteControlReading, t_us: int) -> Message:
     """RC_CHANNELS: what a remote control's receiver outputs."""
     values = {f"chan{number}_raw": width for number, width in enumerate(reading.channels_us, 1)}
-    return RC_CHANNELS, {
+    return message_layout("RC_CHANNELS"), {
         "time_boot_ms": t_us // 1000 & 0xFFFFFFFF,
         "chancount": len(values),
         "rssi": STRONGEST_RSSI,

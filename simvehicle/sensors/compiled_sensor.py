@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from simvehicle.sensors.error_model import NoiseState
 from simvehicle.sensors.sensor import SensorParameters
 
 IMU, MAG, BARO, PITOT = range(4)  # kinds
@@ -19,13 +18,6 @@ class CompiledSensor(SensorParameters, frozen=True, kw_only=True):
 
     kind: ClassVar[int]
     constants: ClassVar[tuple[str, ...]] = ()  # parameters that its `measure_*` takes, in order
-
-    def next_blocks(self, state: list[NoiseState], rng: np.random.Generator) -> list[NoiseState]:
-        """Draw the next block of each noise model."""
-        return [
-            self.noise_model(name).refill(noise, rng, self.rate_hz)
-            for name, noise in zip(self.channels, state, strict=True)
-        ]
 
     def describe(self, record: Any) -> None:
         """Write the parameters to a record of `SENSOR`."""

@@ -5,7 +5,6 @@ Gauss-Markov process. Errors are generated in blocks, as drawing them one by one
 """
 
 import math
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import msgspec
@@ -33,13 +32,8 @@ def _gauss_markov(start: Array, phi: float, draws: Array) -> Array:
 
 
 class NoiseState(NamedTuple):
-    """The errors of the coming samples, and bias, drift and walk (m,) after them.
+    """The errors (n, m) of the coming samples, and bias, drift and walk (m,) after them."""
 
-    Taking a row from `rows` advances it, as drawing advances a generator; creating a tuple for each
-    sample would cost more than the sample. `block` (n, m) holds all rows that `rows` started with.
-    """
-
-    rows: Iterator[list[float]]
     block: Array
     bias: Array
     drift: Array
@@ -86,22 +80,12 @@ class NoiseModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         if self.drift_sigma > 0.0:
             # Drawn from the stationary distribution, as for a sensor long switched on.
             drift = self.drift_sigma * rng.standard_normal(channels)
-        start = NoiseState(iter(()), np.empty(0), bias, drift, np.zeros(channels))
+        start = NoiseState(np.empty(0), bias, drift, np.zeros(channels))
         return self.refill(start, rng, rate_hz)
-
-    def next(
-        self, state: NoiseState, rng: np.random.Generator, rate_hz: float
-    ) -> tuple[list[float], NoiseState]:
-        """Additive errors of the next sample, one for each of the m channels."""
-        # A loop that returns at once is the cheapest test for another row.
-        for row in state.rows:
-            return row, state
-        state = self.refill(state, rng, rate_hz)
-        return next(state.rows), state
 
     def refill(self, state: NoiseState, rng: np.random.Generator, rate_hz: float) -> NoiseState:
         """Draw the errors of the next block."""
-        _, _, bias, drift, walk = state
+        _, bias, drift, walk = state
         shape = (BLOCK, len(bias))
         block = np.broadcast_to(bias, shape).copy()
         # White noise of density N sampled at f has variance N^2 f, which adds to sigma^2.
@@ -119,5 +103,4 @@ class NoiseModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             path = walk + np.cumsum(self.walk / math.sqrt(rate_hz) * rng.standard_normal(shape), 0)
             block += path
             walk = path[-1]
-        # Lists of floats, as each sample is used one number at a time.
-        return NoiseState(iter(block.tolist()), block, bias, drift, walk)
+        return NoiseState(block, bias, drift, walk)

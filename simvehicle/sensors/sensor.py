@@ -1,25 +1,31 @@
 """The interface and the common parameters of sensors; their state is passed in and returned."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
 from msgspec import Meta
 
 from mavproxy_fault.documents.document_check import NotNegative
-from simvehicle.sensors.error_model import NoiseModel, NoiseState
+from simvehicle.sensors.error_model import BLOCK, NoiseModel, NoiseState
 from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.body import Truth
 
 Rate = Annotated[float, Meta(gt=0, le=2000)]
 
 
+class SensorState(NamedTuple):
+    """The row of the next sample in the blocks of errors, and the state of each noise model."""
+
+    row: int
+    noises: list[NoiseState]
+
+
 class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters common to all sensors; `latency_s` is the delay from measurement to delivery.
 
-    `channels` is the number of channels of each of the sensor's noise models, whose states together
-    are the state of the sensor.
+    `channels` is the number of channels of each of the sensor's noise models.
     """
 
     channels: ClassVar[Mapping[str, int]] = {}
@@ -41,22 +47,23 @@ class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         model: NoiseModel = getattr(self, name)
         return model
 
-    def new_state(self, rng: np.random.Generator) -> list[NoiseState]:
+    def new_state(self, rng: np.random.Generator) -> SensorState:
         """Draw the constant errors and the first block of each noise model."""
-        return [
-            self.noise_model(name).new_state(rng, count, self.rate_hz)
-            for name, count in self.channels.items()
-        ]
+        models = ((self.noise_model(name), count) for name, count in self.channels.items())
+        return SensorState(0, [model.new_state(rng, n, self.rate_hz) for model, n in models])
+
+    def next_blocks(self, state: SensorState, rng: np.random.Generator) -> SensorState:
+        """Draw the next block of each noise model."""
+        pairs = zip(map(self.noise_model, self.channels), state.noises, strict=True)
+        return SensorState(0, [model.refill(noise, rng, self.rate_hz) for model, noise in pairs])
 
     def sample(
-        self, truth: Truth, state: list[NoiseState], rng: np.random.Generator
-    ) -> tuple[Reading, list[NoiseState]]:
-        """Draw the errors of the next sample and measure with them."""
-        drawn = [
-            self.noise_model(name).next(noise, rng, self.rate_hz)
-            for name, noise in zip(self.channels, state, strict=True)
-        ]
-        return self.measure(truth, *(errors for errors, _ in drawn)), [noise for _, noise in drawn]
+        self, truth: Truth, state: SensorState, rng: np.random.Generator
+    ) -> tuple[Reading, SensorState]:
+        """Measure with the errors of the next sample."""
+        row, noises = self.next_blocks(state, rng) if state.row == BLOCK else state
+        reading = self.measure(truth, *(noise.block[row].tolist() for noise in noises))
+        return reading, SensorState(row + 1, noises)
 
     def measure(self, truth: Truth, *errors: list[float]) -> Any:
         """The reading of the truth, with the errors of each noise model; a kind defines it."""

@@ -59,7 +59,7 @@ class CompiledOnboardSensor(OnboardSensor):
             self._put_errors()
 
     def _put_errors(self) -> None:
-        blocks = np.hstack([noise.block for noise in self.state])
+        blocks = np.hstack([noise.block for noise in self.state.noises])
         self.record["errors"][:, : blocks.shape[1]] = blocks
         self.record["row"] = 0
 

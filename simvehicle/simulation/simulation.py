@@ -250,7 +250,8 @@ class Simulation:
         without a pitot tube."""
         for fitted in self.compiled_sensors:
             if fitted.sensor.kind == PITOT:
-                return float(fitted.state[0].bias[0] + fitted.state[0].drift[0])
+                noise = fitted.state.noises[0]
+                return float(noise.bias[0] + noise.drift[0])
         return None
 
     def _with_satellite_plant(self, name: str, value: float | None) -> tuple[OnboardSensor, Any]:

@@ -8,17 +8,13 @@ missions, messages of a companion computer) pass unchanged.
 import math
 
 from mavproxy_fault.ardupilot.feeding.optical_flow import FlowInput
-from mavproxy_fault.ardupilot.feeding.sensor_feed import (
-    DOP_PER_M,
-    GPS_EPOCH_US,
-    SPEED_SIGMA_MPS,
-    WORST_DOP,
-)
+from mavproxy_fault.ardupilot.feeding.vectornav import GPS_EPOCH_US, SPEED_SIGMA_MPS, dilution
 from mavproxy_fault.ardupilot.hil_readings import ID_GPS
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 
 GPS_INPUT = message_layout("GPS_INPUT")
+SHARED_GPS_FIELDS = ("time_usec", "fix_type", "satellites_visible", "lat", "lon")
 PARAM_SET, REAL32 = message_layout("PARAM_SET"), 9  # MAV_PARAM_TYPE_REAL32
 GROUND_STATION = 255
 WEEK_US = 604_800_000_000  # of GPS time
@@ -81,20 +77,14 @@ def build_gps_input(frame: Frame) -> bytes:
     week, within_us = divmod(GPS_EPOCH_US + int(read("time_usec")), WEEK_US)
     horizontal_m, vertical_m = read("eph") * 0.01, read("epv") * 0.01
     values = {
-        "time_usec": read("time_usec"),
+        **{name: read(name) for name in SHARED_GPS_FIELDS},
         "time_week": week,
         "time_week_ms": within_us // 1000,
         "gps_id": read("id"),
-        "fix_type": read("fix_type"),
-        "satellites_visible": read("satellites_visible"),
-        "lat": read("lat"),
-        "lon": read("lon"),
         "alt": read("alt") * 1e-3,
-        "hdop": min(horizontal_m * DOP_PER_M, WORST_DOP),
-        "vdop": min(vertical_m * DOP_PER_M, WORST_DOP),
-        "vn": read("vn") * 0.01,
-        "ve": read("ve") * 0.01,
-        "vd": read("vd") * 0.01,
+        "hdop": dilution(horizontal_m),
+        "vdop": dilution(vertical_m),
+        **{name: read(name) * 0.01 for name in ("vn", "ve", "vd")},
         "speed_accuracy": SPEED_SIGMA_MPS,
         "horiz_accuracy": horizontal_m,
         "vert_accuracy": vertical_m,

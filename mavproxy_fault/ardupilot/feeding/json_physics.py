@@ -12,6 +12,8 @@ import struct
 from collections.abc import Sequence
 from typing import NamedTuple
 
+from mavproxy_fault.ardupilot.hil_readings import HilImu, TrueState
+
 MAGIC_16, MAGIC_32 = 18458, 29569  # packets of 16 and of 32 outputs
 _HEAD = struct.Struct("<HHI")
 _PWM = {MAGIC_16: struct.Struct("<16H"), MAGIC_32: struct.Struct("<32H")}
@@ -20,44 +22,37 @@ _PWM = {MAGIC_16: struct.Struct("<16H"), MAGIC_32: struct.Struct("<32H")}
 class ServoPacket(NamedTuple):
     """Servo outputs of ArduPilot; `accepted` counts the lines it has accepted since its start."""
 
-    rate_hz: int  # requested rate of lines
     accepted: int
     pwm_us: tuple[int, ...]  # 16 or 32
-
-
-class BodyState(NamedTuple):
-    """Content of a line: `gyro` and `accel` are measured, the rest is the simulator's truth."""
-
-    t_us: int
-    gyro_b_rps: Sequence[float]
-    accel_b_mps2: Sequence[float]
-    r_ned_m: Sequence[float]  # from ArduPilot's --home
-    q_nb: Sequence[float]
-    v_ned_mps: Sequence[float]
-    airspeed_mps: float | None = None  # true airspeed
 
 
 def read_servos(data: bytes) -> ServoPacket | None:
     """Decode a servo packet; None if the bytes are not one."""
     if len(data) < _HEAD.size:
         return None
-    magic, rate_hz, count = _HEAD.unpack_from(data)
+    magic, _, count = _HEAD.unpack_from(data)  # in between, the requested rate of lines
     pwm = _PWM.get(magic)
     if pwm is None or len(data) != _HEAD.size + pwm.size:
         return None
-    return ServoPacket(rate_hz, count, pwm.unpack_from(data, _HEAD.size))
+    return ServoPacket(count, pwm.unpack_from(data, _HEAD.size))
 
 
-def state_line(state: BodyState) -> bytes:
-    """Encode the line of one step; ArduPilot requires a line break on either side."""
+def state_line(
+    truth: TrueState, imu: HilImu, r_ned_m: Sequence[float], airspeed_mps: float | None = None
+) -> bytes:
+    """Encode the line of one step; ArduPilot requires a line break on either side.
+
+    The IMU and the true airspeed are measured; the rest is the simulator's truth, with the position
+    from ArduPilot's `--home`.
+    """
     text = (
-        f'\n{{"timestamp":{state.t_us / 1e6:.6f},'
-        f'"imu":{{"gyro":{_vector(state.gyro_b_rps)},"accel_body":{_vector(state.accel_b_mps2)}}},'
-        f'"position":{_vector(state.r_ned_m)},"quaternion":{_vector(state.q_nb)},'
-        f'"velocity":{_vector(state.v_ned_mps)}'
+        f'\n{{"timestamp":{truth.t_us / 1e6:.6f},'
+        f'"imu":{{"gyro":{_vector(imu.gyro_b_rps)},"accel_body":{_vector(imu.accel_b_mps2)}}},'
+        f'"position":{_vector(r_ned_m)},"quaternion":{_vector(truth.q_nb)},'
+        f'"velocity":{_vector(truth.v_ned_mps)}'
     )
-    if state.airspeed_mps is not None:
-        text += f',"airspeed":{state.airspeed_mps:.6g}'
+    if airspeed_mps is not None:
+        text += f',"airspeed":{airspeed_mps:.6g}'
     return (text + "}\n").encode()
 
 

@@ -13,16 +13,23 @@ References
 
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from fastcrc.crc16 import xmodem
 
+from mavproxy_fault.ardupilot.hil_readings import HilImu
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
 SYNC = b"\xfa"
 FIX_3D = 3
 INS_TRACKING = 0x0006  # INS status: mode 2 (tracking), GNSS fix
-NO_FIX_SIGMA_M = 1e3
+GPS_EPOCH_US = 2348 * 604_800_000_000  # 5 January 2025, as HIL_GPS has no date
+SPEED_SIGMA_MPS = 0.3  # not in HIL_GPS; typical of a consumer receiver
+RANGE_ERROR_M, WORST_DOP = 2.5, 99.0
+HIL_GPS = message_layout("HIL_GPS")
+NO_FIX = Frame(build_frame(HIL_GPS, {"eph": 0xFFFF, "epv": 0xFFFF}), HIL_GPS)
 
 Values = Mapping[str, Sequence[float]]
 Pace = Literal["imu", "gnss", "estimate"]
@@ -30,14 +37,9 @@ Pace = Literal["imu", "gnss", "estimate"]
 # Groups by bit number in the first byte, fields by bit number in the group's word.
 COMMON, TIME, IMU, GNSS1, ATTITUDE, INS, GNSS2 = range(7)
 _GNSS_FIELDS = {
-    3: "satellites",
-    4: "fix",
-    5: "fix_lla",
-    7: "fix_velocity",
-    9: "fix_sigma",
-    10: "velocity_sigma",
-    13: "dop",
-}
+    3: "satellites", 4: "fix", 5: "fix_lla", 7: "fix_velocity", 9: "fix_sigma",
+    10: "velocity_sigma", 13: "dop",
+}  # fmt: skip
 _FIELDS: dict[int, dict[int, str]] = {
     COMMON: {0: "startup", 1: "gps_time", 5: "gyro", 8: "accel", 9: "raw_imu", 10: "mag_pressure"},
     TIME: {0: "startup", 1: "gps_time"},
@@ -59,36 +61,6 @@ _CODES = {
     "dop": "7f", "ypr": "3f", "quaternion": "4f", "ypr_sigma": "3f", "ins_status": "H",
     "ins_sigma": "f",
 }  # fmt: skip
-
-
-class ImuOutput(NamedTuple):
-    """Values of an IMU sample."""
-
-    t_us: int
-    gyro_b_rps: Sequence[float]
-    accel_b_mps2: Sequence[float]
-    field_b_gauss: Sequence[float]
-    temperature_c: float
-    pressure_pa: float
-
-
-class GnssOutput(NamedTuple):
-    """Values of a GNSS fix."""
-
-    satellites: int
-    fix: int
-    lat_deg: float
-    lon_deg: float
-    alt_m: float
-    v_ned_mps: tuple[float, float, float]
-    sigma_ned_m: tuple[float, float, float]
-    sigma_v_mps: float
-    dop: float
-
-
-NO_FIX = GnssOutput(
-    0, 0, 0.0, 0.0, 0.0, (0.0, 0.0, 0.0), (NO_FIX_SIGMA_M,) * 3, NO_FIX_SIGMA_M, 99.0
-)
 
 
 class BinaryOutput:
@@ -150,13 +122,13 @@ def _name(group: int, bit: int) -> str:
     return name
 
 
-def imu_values(imu: ImuOutput, gps_epoch_us: int) -> dict[str, Sequence[float]]:
+def imu_values(imu: HilImu, t_us: int) -> dict[str, Sequence[float]]:
     """Return IMU, compass, barometer and time, by field name."""
     gyro, accel, field = imu.gyro_b_rps, imu.accel_b_mps2, imu.field_b_gauss
     temperature, pressure = imu.temperature_c, imu.pressure_pa * 1e-3
     return {
-        "startup": (imu.t_us * 1000,),
-        "gps_time": ((gps_epoch_us + imu.t_us) * 1000,),
+        "startup": (t_us * 1000,),
+        "gps_time": ((GPS_EPOCH_US + t_us) * 1000,),
         "gyro": gyro,
         "accel": accel,
         "raw_imu": (*accel, *gyro),
@@ -167,23 +139,31 @@ def imu_values(imu: ImuOutput, gps_epoch_us: int) -> dict[str, Sequence[float]]:
     }
 
 
-def gnss_values(gnss: GnssOutput) -> dict[str, Sequence[float]]:
-    """Return a receiver's solution and the sensor's own estimate: level, at the last fix.
+def gnss_values(fix: Frame) -> dict[str, Sequence[float]]:
+    """Return the solution in a HIL_GPS and the sensor's own estimate: level, at the last fix.
 
-    ArduPilot uses the estimate only as a health check. Its attitude is not the true one, because
-    no value may reach the estimator without passing the faults.
+    Its eph and epv are errors in centimetres. ArduPilot uses the estimate only as a health check.
+    Its attitude is not the true one, because no value may reach the estimator without passing the
+    faults.
     """
+    read = fix.number
+    horizontal_m, vertical_m = read("eph") * 0.01, read("epv") * 0.01
     return {
-        "satellites": (gnss.satellites,),
-        "fix": (min(gnss.fix, FIX_3D),),
-        "fix_lla": (gnss.lat_deg, gnss.lon_deg, gnss.alt_m),
-        "fix_velocity": gnss.v_ned_mps,
-        "fix_sigma": gnss.sigma_ned_m,
-        "velocity_sigma": (gnss.sigma_v_mps,),
-        "dop": (gnss.dop,) * 7,
-        "ins_status": (INS_TRACKING if gnss.fix else 0,),
-        "ins_sigma": (gnss.sigma_ned_m[0],),
+        "satellites": (read("satellites_visible"),),
+        "fix": (min(read("fix_type"), FIX_3D),),
+        "fix_lla": (read("lat") * 1e-7, read("lon") * 1e-7, read("alt") * 1e-3),
+        "fix_velocity": (read("vn") * 0.01, read("ve") * 0.01, read("vd") * 0.01),
+        "fix_sigma": (horizontal_m, horizontal_m, vertical_m),
+        "velocity_sigma": (SPEED_SIGMA_MPS,),
+        "dop": (dilution(horizontal_m),) * 7,
+        "ins_status": (INS_TRACKING if read("fix_type") else 0,),
+        "ins_sigma": (horizontal_m,),
         "ypr": (0.0, 0.0, 0.0),
         "quaternion": (0.0, 0.0, 0.0, 1.0),  # x, y, z, w
         "ypr_sigma": (1.0, 1.0, 1.0),
     }
+
+
+def dilution(error_m: float) -> float:
+    """Return the dilution of precision of a position error, for a range error of 2.5 m."""
+    return min(error_m / RANGE_ERROR_M, WORST_DOP)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 
+import msgspec
 import numpy as np
 
 from simvehicle.vehicles.contact_kernel import Gear, make_gear
@@ -127,26 +128,26 @@ def aero_coefficients(parameters: FixedWingParameters, plant: Mapping[str, float
     `aileron_efficiency` and `rudder_efficiency` the surfaces' effect.
     """
     par, wing = parameters, parameters.wing
-    de = plant.get("elevator_efficiency", 1.0)
-    da = plant.get("aileron_efficiency", 1.0)
-    dr = plant.get("rudder_efficiency", 1.0)
-    side, roll, yaw = par.side_force, par.roll, par.yaw
+    surfaces = ("elevator", "aileron", "rudder")
+    effects = {name: plant.get(f"{name}_efficiency", 1.0) for name in surfaces}
+
+    def numbers(section: ParameterSection) -> list[float]:
+        """The coefficients of a section, those of surfaces with their faults."""
+        values = msgspec.structs.asdict(section).items()
+        return [value * effects.get(name, 1.0) for name, value in values]
+
     aspect_ratio = wing.span_m**2 / wing.area_m2
-    return Aero(
-        wing.area_m2,
-        wing.span_m,
-        wing.chord_m,
-        *(par.lift.zero, par.lift.alpha, par.lift.q, par.lift.elevator * de),
+    coefficients = (
+        *(wing.area_m2, wing.span_m, wing.chord_m),
+        *numbers(par.lift),
         1.0 / (math.pi * wing.oswald * aspect_ratio),
-        *(par.drag.parasitic, par.drag.q, par.drag.elevator * de),
-        *(par.pitch.zero, par.pitch.alpha, par.pitch.q, par.pitch.elevator * de),
+        *(*numbers(par.drag), *numbers(par.pitch)),
         par.stall.sharpness,
         math.exp(par.stall.sharpness * par.stall.alpha_rad),
-        *(side.zero, side.beta, side.p, side.r, side.aileron * da, side.rudder * dr),
-        *(roll.zero, roll.beta, roll.p, roll.r, roll.aileron * da, roll.rudder * dr),
-        *(yaw.zero, yaw.beta, yaw.p, yaw.r, yaw.aileron * da, yaw.rudder * dr),
+        *(*numbers(par.side_force), *numbers(par.roll), *numbers(par.yaw)),
         *_propulsion(par, plant),
     )
+    return Aero._make(coefficients)
 
 
 def _propulsion(par: FixedWingParameters, plant: Mapping[str, float]) -> tuple[float, ...]:
@@ -164,8 +165,8 @@ def _propulsion(par: FixedWingParameters, plant: Mapping[str, float]) -> tuple[f
     return (
         *(0.0, 0.0, 0.0, 1.0),
         motor.diameter_m,
-        *(motor.torque.zero, motor.torque.j, motor.torque.j2),
-        *(motor.thrust.zero * blade, motor.thrust.j * blade, motor.thrust.j2 * blade),
+        *msgspec.structs.astuple(motor.torque),
+        *(value * blade for value in msgspec.structs.astuple(motor.thrust)),
         motor.supply_v * power,
         kq,
         motor.resistance_ohm,

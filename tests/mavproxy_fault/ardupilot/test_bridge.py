@@ -13,15 +13,14 @@ from pathlib import Path
 import pytest
 
 from mavproxy_fault.ardupilot.bridge_command import BridgeLoop, FlightEndError
-from mavproxy_fault.ardupilot.bridge_ports import Datagrams
 from mavproxy_fault.ardupilot.bridged_autopilot import BridgedAutopilot
 from mavproxy_fault.ardupilot.fed_autopilot import FedAutopilot
 from mavproxy_fault.ardupilot.hil_readings import Readings, TrueState
-from mavproxy_fault.ardupilot.parameters import AvailableSensors
 from mavproxy_fault.ardupilot.sensor_discovery import DiscoveredVehicle
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.tcp import TcpServer
+from mavproxy_fault.links.udp import UdpServer
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
@@ -165,7 +164,7 @@ def test_a_simulator_that_falls_silent_behind_a_proxy_is_reported_once():
         started, armed, steps, t_us = True, False, 0, 0
 
         def filenos(self):
-            return [quiet.fileno()]
+            return quiet.filenos()
 
         def read(self):
             return []
@@ -175,7 +174,7 @@ def test_a_simulator_that_falls_silent_behind_a_proxy_is_reported_once():
 
     with closing(TcpServer("127.0.0.1", 0)) as link, contextlib.ExitStack() as stack:
         peer = stack.enter_context(socket.create_connection(("127.0.0.1", link.port)))
-        quiet = stack.enter_context(closing(Datagrams()))
+        quiet = stack.enter_context(closing(UdpServer("127.0.0.1", 0)))
         while not link.peer_count:
             link.read()
         exchange = BridgeLoop(link, Autopilot(), messages.append, silence_s=0.1)
@@ -187,10 +186,10 @@ def test_a_simulator_that_falls_silent_behind_a_proxy_is_reported_once():
 
 def test_sitl_is_told_the_battery_and_the_loss_of_the_remote_control(tmp_path, monkeypatch):
     home = TrueState(0, (1.0, 0.0, 0.0, 0.0), 0, 0, 0, (0.0, 0.0, 0.0))
-    sensors = AvailableSensors(400.0, second_imu=False, second_gps=False, rangefinder=False)
     bridge, written = BridgedAutopilot(["true"], "copter", tmp_path, {}, print), list[bytes]()
     monkeypatch.setattr(bridge._mavlink, "write", written.append)
-    FedAutopilot._start(bridge, DiscoveredVehicle(Readings(), home, sensors))  # without a process
+    found = DiscoveredVehicle(Readings(), home, 400.0, frozenset())
+    FedAutopilot._start(bridge, found)  # without a process
 
     def receive(name, **values):
         layout = message_layout(name)

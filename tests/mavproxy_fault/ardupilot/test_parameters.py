@@ -1,21 +1,18 @@
-import dataclasses
-
 import pytest
 
 from mavproxy_fault.ardupilot.parameters import (
     VEHICLE_KINDS,
-    AvailableSensors,
     bridge_parameters,
     check_parameters,
 )
 from mavproxy_fault.documents.errors import ConfigError
 
-BARE = AvailableSensors(400.0, second_imu=False, second_gps=False, rangefinder=False)
+BARE = (400.0, set(), None)
 
 
 @pytest.mark.parametrize("kind", VEHICLE_KINDS)
 def test_all_of_sitls_own_sensors_are_removed(kind):
-    values = bridge_parameters(kind, BARE)
+    values = bridge_parameters(kind, *BARE)
     assert values["AHRS_EKF_TYPE"] == 3
     assert values["SIM_IMU_COUNT"] == values["SIM_BARO_COUNT"] == values["SIM_GPS1_ENABLE"] == 0
     assert all(values[f"SIM_MAG{number}_DEVID"] == 0 for number in range(1, 7))
@@ -23,39 +20,32 @@ def test_all_of_sitls_own_sensors_are_removed(kind):
 
 def test_redundant_sensors_are_all_used():
     values = bridge_parameters(
-        "copter", AvailableSensors(400.0, second_imu=True, second_gps=True, rangefinder=True)
+        "copter", 400.0, {("HIL_SENSOR", 1), ("HIL_GPS", 1), ("DISTANCE_SENSOR", 0)}, None
     )
     assert (values["SIM_IMU_COUNT"], values["EK3_IMU_MASK"]) == (1, 3)
     assert values["GPS2_TYPE"] == 14
     assert values["RNGFND1_TYPE"] == 10
-    assert "GPS2_TYPE" not in bridge_parameters("copter", BARE)
+    assert "GPS2_TYPE" not in bridge_parameters("copter", *BARE)
 
 
 def test_flow_and_vision_are_read_by_mavlink_if_available():
-    values = bridge_parameters(
-        "copter",
-        AvailableSensors(
-            400.0, second_imu=False, second_gps=False, rangefinder=False, flow=True, vision=True
-        ),
-    )
+    values = bridge_parameters("copter", 400.0, {("HIL_OPTICAL_FLOW", 0), ("ODOMETRY", 0)}, None)
     assert (values["FLOW_TYPE"], values["FLOW_FXSCALER"], values["VISO_TYPE"]) == (5, -990, 1)
-    assert not {"FLOW_TYPE", "VISO_TYPE"} & bridge_parameters("copter", BARE).keys()
+    assert not {"FLOW_TYPE", "VISO_TYPE"} & bridge_parameters("copter", *BARE).keys()
 
 
 def test_remote_control_and_battery_have_failsafes_only_if_there_are_any():
-    fitted = dataclasses.replace(BARE, remote_control=True, battery_v=16.8)
-    values = bridge_parameters("copter", fitted)
+    values = bridge_parameters("copter", 400.0, {("RC_CHANNELS", 0)}, 16.8)
     assert values["FS_THR_ENABLE"] == 1
     # SITL takes up to 0.7 V off at full throttle: half of it in hover
     assert 12.0 < values["BATT_CRT_VOLT"] < values["BATT_LOW_VOLT"] < 0.81 * 16.8
-    bare = bridge_parameters("copter", BARE)
+    bare = bridge_parameters("copter", *BARE)
     assert bare["FS_THR_ENABLE"] == bare["BATT_MONITOR"] == 0
 
 
 def test_the_loop_is_no_faster_than_the_steps():
-    slow = AvailableSensors(250.0, second_imu=False, second_gps=False, rangefinder=False)
-    assert bridge_parameters("copter", slow)["SCHED_LOOP_RATE"] == 250
-    assert bridge_parameters("plane", BARE)["SCHED_LOOP_RATE"] == 100
+    assert bridge_parameters("copter", 250.0, set(), None)["SCHED_LOOP_RATE"] == 250
+    assert bridge_parameters("plane", *BARE)["SCHED_LOOP_RATE"] == 100
 
 
 def test_an_estimator_that_reads_the_truth_is_refused():

@@ -154,7 +154,7 @@ def test_the_flight_ends_if_controls_stop_but_not_if_none_ever_came():
     assert free.wait_s(100.0) == 0.0  # still starting up
     free.received(77, 100.0)
     assert (free.wait_s(129.0), free.silent_s(129.0)) == (0.0, 29.0)
-    with pytest.raises(AutopilotSilentError, match="has sent nothing for 30 s"):
+    with pytest.raises(AutopilotSilentError, match="has not answered for 30 s"):
         free.wait_s(131.0)
 
 

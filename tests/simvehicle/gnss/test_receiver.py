@@ -19,7 +19,7 @@ from simvehicle.gnss.pseudorange import (
     Atmosphere,
     signal_geometry,
 )
-from simvehicle.gnss.receiver import ReceiverFix, solve_receiver_fix
+from simvehicle.gnss.receiver import NO_FIX, solve_receiver_fix
 from simvehicle.gnss.satellite_orbits import Orbits, select_orbits, tabulate_orbits
 
 TOW_S = 475200.0
@@ -143,7 +143,7 @@ def test_the_error_divided_by_its_own_sigma_has_unit_variance_for_its_noise_mode
     seen = signals_at(orbits, TOW_S, PLACE_M, MOTION, AIR)
     sigma = 0.5 / np.sin(seen[SAT_ELEVATION])  # the sigma that the receiver assumes
     rng = np.random.default_rng(5)
-    fix: ReceiverFix | None = None
+    fix = NO_FIX
     ratios = []
     for _ in range(600):
         fix = solve_receiver_fix(

@@ -76,7 +76,7 @@ def test_a_position_jump_has_no_doppler() -> None:
     spoof[0, 1:] = 200.0
     (spoofed,) = spoofed_places(spoof, np.zeros((4, 3)), 0.2)
     assert spoofed.offset_mps.tolist() == [0.0] * 4
-    assert spoofed.satellites.tolist() == [False, True, True]
+    assert spoofed.mask.tolist() == [False, True, True]
 
 
 def test_a_doppler_fault_leaves_the_ranges_unchanged(flown) -> None:

@@ -212,10 +212,11 @@ def errors_of(noise: NoiseModel, rate_hz: float, count: int, channels: int = 8) 
     """The first errors (count, channels) of a noise model."""
     rng = np.random.default_rng(5)
     state = noise.new_state(rng, channels, rate_hz)
-    out = np.empty((count, channels))
-    for k in range(count):
-        out[k], state = noise.next(state, rng, rate_hz)
-    return out
+    blocks = [state.block]
+    while len(blocks) * len(state.block) < count:
+        state = noise.refill(state, rng, rate_hz)
+        blocks.append(state.block)
+    return np.concatenate(blocks)[:count]
 
 
 @pytest.mark.parametrize("tau_s", [0.1, 1.0, 4.0])

@@ -4,28 +4,31 @@ import pytest
 from fastcrc.crc16 import xmodem
 
 from mavproxy_fault.ardupilot.feeding.vectornav import (
+    GPS_EPOCH_US,
     NO_FIX,
     BinaryOutput,
-    GnssOutput,
-    ImuOutput,
     gnss_values,
     imu_values,
 )
+from mavproxy_fault.ardupilot.hil_readings import HilImu
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame, build_frame
 
-IMU = ImuOutput(2_500, (0.5, -0.25, 0.125), (0.0, 1.0, -9.75), (0.25, 0.0, 0.5), 20.0, 101_000.0)
-FIX = GnssOutput(
-    satellites=14,
-    fix=3,
-    lat_deg=47.5,
-    lon_deg=8.5,
-    alt_m=488.0,
-    v_ned_mps=(1.0, -2.0, 0.5),
-    sigma_ned_m=(0.5, 0.5, 1.0),
-    sigma_v_mps=0.25,
-    dop=0.5,
-)
-VALUES = {**imu_values(IMU, gps_epoch_us=4_500), **gnss_values(FIX)}
+IMU = HilImu((0.0, 1.0, -9.75), (0.5, -0.25, 0.125), (0.25, 0.0, 0.5), 101_000.0, 0.0, 20.0)
+HIL_GPS = message_layout("HIL_GPS")
+
+
+def fix_of(**changed):
+    values = {
+        "satellites_visible": 14, "fix_type": 3, "lat": 475_000_000, "lon": 85_000_000,
+        "alt": 488_000, "vn": 100, "ve": -200, "vd": 50, "eph": 50, "epv": 100,
+    }  # fmt: skip
+    return Frame(build_frame(HIL_GPS, values | changed), HIL_GPS)
+
+
+VALUES = {**imu_values(IMU, 2_500), **gnss_values(fix_of())}
+GPS_TIME_NS = (GPS_EPOCH_US + 2_500) * 1000
 IMU_OUTPUT = BinaryOutput(0x01, [0x0721])
 ESTIMATE_OUTPUT = BinaryOutput(0x31, [0x0001, 0x0106, 0x0613])
 GNSS_OUTPUT = BinaryOutput(0x49, [0x0003, 0x26B8, 0x0018])
@@ -85,8 +88,8 @@ def test_a_fix_can_be_read_back():
     packet = GNSS_OUTPUT.packet(VALUES)
     assert packet[:8].hex() == "fa490300b8261800"
     values = struct.unpack("<QQBB3d3f3ff7fBB", packet[8:-2])
-    assert values[:4] == (2_500_000, 7_000_000, 14, 3)
-    assert values[4:7] == (47.5, 8.5, 488.0)
+    assert values[:4] == (2_500_000, GPS_TIME_NS, 14, 3)
+    assert values[4:7] == pytest.approx((47.5, 8.5, 488.0), rel=1e-12)
     assert values[7:10] == (1.0, -2.0, 0.5)
     assert values[-2:] == (14, 3)
 
@@ -97,15 +100,15 @@ def test_the_packets_of_4_5_can_be_read_back():
     values = struct.unpack("<3f3f3ff3f3f3f3f4f3f3d3fff", packet[8:-2])
     assert values[3:9] == (0.0, 1.0, -9.75, 0.5, -0.25, 0.125)
     assert values[9] == 101.0
-    assert values[29:32] == (47.5, 8.5, 488.0)
+    assert values[29:32] == pytest.approx((47.5, 8.5, 488.0), rel=1e-12)
     packet = GNSS_OUTPUT_4_5.packet(VALUES)
     assert packet[:10].hex() == "fa4e02001000b8201800"
     values = struct.unpack("<QfBB3d3f7fBB", packet[10:-2])
-    assert values[:4] == (7_000_000, 20.0, 14, 3)
+    assert values[:4] == (GPS_TIME_NS, 20.0, 14, 3)
 
 
 def test_a_better_fix_than_3d_is_3d():
-    assert gnss_values(FIX._replace(fix=6))["fix"] == (3,)
+    assert gnss_values(fix_of(fix_type=6))["fix"] == (3,)
 
 
 def test_the_sensor_does_not_reveal_the_true_attitude():
