@@ -8,6 +8,7 @@ import argparse
 import json
 import os
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
@@ -15,9 +16,9 @@ from typing import Any
 
 from analysis.processes import spawn_context
 from analysis.report.judging.checks import worst_first
-from analysis.report.log_report import report_log
+from analysis.report.log_report import report_flight
 from analysis.report.page.index_page import UNREADABLE, index_html
-from analysis.report.recordings.log_paths import PACKED
+from analysis.report.recordings.log_paths import PACKED, log_file
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -54,7 +55,11 @@ def report_folder(folder: Path, args: argparse.Namespace) -> int:
     # Logs that have not changed since an earlier call are not read again.
     before = _index(out / "index.json")
     marks = {name: _mark(path, args) for name, path in logs.items()}
-    rows = {name: before[name]["row"] for name in logs if _is_known(before.get(name), marks[name])}
+    rows = {
+        name: before[name]["row"]
+        for name in logs
+        if name in before and before[name]["mark"] == marks[name]
+    }
     new = {name: path for name, path in logs.items() if name not in rows}
     try:
         for name, row in _report_all(new, out, args):
@@ -94,15 +99,10 @@ def _mark(path: Path, args: argparse.Namespace) -> list[Any]:
 
 def _index(path: Path) -> Mapping[str, Any]:
     try:
-        found: Mapping[str, Any] = json.loads(path.read_text("utf-8"))
+        return dict(json.loads(path.read_text("utf-8")))
     except (OSError, ValueError):
         # Without a readable index all logs are reported again.
         return {}
-    return found
-
-
-def _is_known(entry: Mapping[str, Any] | None, mark: list[Any]) -> bool:
-    return entry is not None and entry["mark"] == mark
 
 
 def _report_all(
@@ -131,11 +131,13 @@ def _report_one(path: Path, out: Path, name: str, args: argparse.Namespace) -> R
     # A single level of folders: `a/b.ulg` becomes `a-b.ulg`.
     folder = out / name.replace(os.sep, "-")
     try:
-        outcome = report_log(path, folder, args)
+        # Compressed logs are unpacked here and read before the folder is deleted.
+        with tempfile.TemporaryDirectory() as unpacked:
+            outcome = report_flight([log_file(path, Path(unpacked))], folder, args)
     except ConfigError as error:
         # An unreadable log becomes a row of the index.
-        failed = {"verdict": UNREADABLE, "worst": [str(error)]}
-        return {"name": name, "report": "", "duration_s": None, "autopilot": ""} | failed
+        failed = {"verdict": UNREADABLE, "duration_s": None, "autopilot": ""}
+        return {"name": name, "report": "", "worst": [str(error)], **failed}
     bad = worst_first(outcome.checks)
     recording = outcome.flight.recording
     return {

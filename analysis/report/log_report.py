@@ -1,7 +1,6 @@
 """The files of one report: page, summary, JUnit XML, and what the options of `report` add."""
 
 import argparse
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,34 +16,33 @@ from analysis.report.page.log_page import log_page
 from analysis.report.page.page_file import page_html
 from analysis.report.page.pdf_file import write_pdf
 from analysis.report.recordings.flight_sources import read_flight
-from analysis.report.recordings.log_paths import log_file
 from analysis.report.report_files import write_junit
 from analysis.report.run_folder import write_summary
 from mavproxy_fault.documents.atomic_file import write_atomic
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.label import Label
 
 
-def report_log(path: Path, folder: Path, args: argparse.Namespace) -> FlightAssessment:
-    """Write the report on one log of many to `folder`.
+def report_flight(
+    paths: Sequence[Path],
+    folder: Path,
+    args: argparse.Namespace,
+    labels: Sequence[Label] = (),
+    others: Sequence[FlightAssessment] = (),
+) -> FlightAssessment:
+    """Write the report on one flight to `folder`, with what the options of `report` ask for.
 
     Raises
     ------
     ConfigError
-        If the log cannot be read.
+        If a log cannot be read, or the folder not be written.
     """
-    # Compressed logs are unpacked here and read before the folder is deleted.
-    with tempfile.TemporaryDirectory() as unpacked:
-        log = log_file(path, Path(unpacked))
-        outcome = assess_flight(read_flight([log], ()), read_thresholds(args.criteria))
+    outcome = assess_flight(read_flight(paths, labels), read_thresholds(args.criteria))
+    try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_report(folder, outcome, [], args.data)
-        write_optional_outputs(folder, outcome, [log], args)
-    return outcome
-
-
-def write_optional_outputs(
-    folder: Path, outcome: FlightAssessment, paths: Sequence[Path], args: argparse.Namespace
-) -> None:
-    """Write optional outputs: figures, tables, tracks, PDF."""
+    except OSError as error:
+        raise ConfigError(f"--out {folder}: {error.strerror}; give a writable folder") from error
+    write_report(folder, outcome, others, args.data)
     recording = outcome.flight.recording
     # Imported on demand: Matplotlib and Arrow load slowly.
     if args.figures:
@@ -60,6 +58,7 @@ def write_optional_outputs(
     # The browser prints the page written before.
     if args.pdf:
         write_pdf(folder / "report.html")
+    return outcome
 
 
 @np.errstate(invalid="ignore", over="ignore")  # a log may hold any bits as a number

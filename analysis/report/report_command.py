@@ -3,7 +3,6 @@
 import argparse
 import sys
 import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
@@ -12,7 +11,7 @@ from analysis.report.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.judging.check_limits import read_thresholds
 from analysis.report.judging.checks import FAIL, chain_text, worst_first
 from analysis.report.log_folder import is_run_folder, report_folder
-from analysis.report.log_report import write_optional_outputs, write_report
+from analysis.report.log_report import report_flight
 from analysis.report.recordings.flight_sources import group_logs, read_flight
 from analysis.report.recordings.log_paths import log_file, log_files
 from analysis.scoring.vehicle_outcome import VehicleOutcome, describe_vehicle
@@ -46,17 +45,19 @@ def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
     flights = group_logs(paths)
     failed, rows = False, []
     for flight_paths in flights:
-        folder = _folder(args.out, flight_paths, len(args.logs) > 1 and len(flights) > 1)
+        stem = _stem(flight_paths[0])
+        folder = Path(args.out or f"{stem}-report")
+        # With `--out` and several flights, each needs its own folder.
+        if args.out and len(args.logs) > 1 and len(flights) > 1:
+            folder = folder / stem
         try:
-            outcome = assess_flight(read_flight(flight_paths, labels), thresholds)
+            outcome = report_flight(flight_paths, folder, args, labels, others)
         # The error of one flight among several does not stop the others.
         except ConfigError as error:
             if len(flights) == 1:
                 raise
             unreadable.append(str(error))
             continue
-        write_report(folder, outcome, others, args.data)
-        write_optional_outputs(folder, outcome, flight_paths, args)
         if not args.json:
             print_outcome(outcome, folder)
         rows.append({**outcome.summary, "folder": folder})
@@ -68,17 +69,9 @@ def _report_each(args: argparse.Namespace, unpacked: Path) -> int:
     return 2 if unreadable else int(failed)
 
 
-def _folder(out: str | None, paths: Sequence[Path], several: bool) -> Path:
-    stem = paths[0].stem if paths[0].is_file() else paths[0].resolve().name
-    folder = Path(out) if out else Path(f"{stem}-report")
-    # With `--out` and several flights, each needs its own folder.
-    if out and several:
-        folder = folder / stem
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--out {folder}: {error.strerror}; give a writable folder") from error
-    return folder
+def _stem(path: Path) -> str:
+    # The path of a run folder may end in `..`.
+    return path.stem if path.is_file() else path.resolve().name
 
 
 def print_outcome(outcome: FlightAssessment, folder: Path) -> None:

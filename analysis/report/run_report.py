@@ -37,27 +37,12 @@ def write_run_report(
     beside: FlightData = NOTHING_BESIDE,
     pictures: Sequence[tuple[str, bytes]] = (),
 ) -> Path:
-    """Write `report.html` into the folder `out`.
+    """Write `report.html` into the existing folder `out`, and return its path.
 
-    Parameters
-    ----------
-    out : Path
-        An existing folder.
-    summary : mapping
-        The content of `summary.json`.
-    labels, results
-        The injected faults, and the results of the monitor.
-    columns : dict of structured arrays
-        The received log (`mavproxy_fault.wire.tlog.read_columns`); empty if there is none.
-    beside : Recording
-        Additional curves and tracks; errors refer to the track named `truth`.
-    pictures : sequence of (title, SVG)
-        Pictures beside the satellite plots.
-
-    Returns
-    -------
-    Path
-        The path of the page.
+    `summary` is the content of `summary.json`, `columns` the received log
+    (`mavproxy_fault.wire.tlog.read_columns`; empty if there is none). `beside` adds curves and
+    tracks, of which errors refer to the one named `truth`; `pictures` (title, SVG) stand beside the
+    satellite plots.
     """
     results = list(results)
     t0_us = axis_start(labels, results)

@@ -16,28 +16,14 @@ NedVector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class SolutionRow:
-    """A position with its accuracy.
+    """A position with its accuracy."""
 
-    Attributes
-    ----------
-    gps_time : datetime
-        In GPS time, which is ahead of UTC by the leap seconds.
-    height_m : float
-        Above the WGS 84 ellipsoid.
-    covariance_ned_m2 : array (3, 3) or None
-        None if unknown.
-    satellites : tuple of str
-        The satellites in use.
-    velocity_ned_mps : tuple or None
-        None if the solution has no velocity.
-    """
-
-    gps_time: datetime
+    gps_time: datetime  # ahead of UTC by the leap seconds
     lat_deg: float
     lon_deg: float
-    height_m: float
-    covariance_ned_m2: Vector | None
-    satellites: tuple[str, ...]
+    height_m: float  # above the WGS 84 ellipsoid
+    covariance_ned_m2: Vector | None  # (3, 3)
+    satellites: tuple[str, ...]  # in use
     velocity_ned_mps: NedVector | None = None
     hdop: float | None = None
     vdop: float | None = None

@@ -41,42 +41,64 @@ IMU, MAG, BARO, AIRSPEED, RANGE, VISION, TRUTH, ATTITUDE = range(8)
 FIX, EPOCH, EPHEMERIS, IONOSPHERE = range(8, 12)  # events: samples that may cause a decision
 COMMAND = 12  # last, as its timestamp may be of another clock than the sensors'
 SPARE = 13  # a redundant sensor
-KINDS: dict[type, int] = {
-    ImuSample: IMU,
-    MagSample: MAG,
-    BaroSample: BARO,
-    AirspeedSample: AIRSPEED,
-    RangeSample: RANGE,
-    VisionSample: VISION,
-    TruthSample: TRUTH,
-    AttitudeSample: ATTITUDE,
-    GpsFix: FIX,
-    Epoch: EPOCH,
-    EphemerisSample: EPHEMERIS,
-    IonosphereSample: IONOSPHERE,
-    CommandSample: COMMAND,
-    SpareSample: SPARE,
-}
 # A row holds the index of its message's name.
 SOURCES = (
     *("HIL_GPS", "GPS_RAW_INT", "ATTITUDE", "ATTITUDE_QUATERNION"),
     *("HIL_ACTUATOR_CONTROLS", "OUTPUTS"),
 )
 CONTROLS, OUTPUTS = SOURCES.index("HIL_ACTUATOR_CONTROLS"), SOURCES.index("OUTPUTS")
-# Column offsets within a row (see `ROWS`).
+# Column offsets within a row (see `FORMS`).
 RATES, FORCE, IMU_ID = 0, 3, 6  # of an IMU
 FIX_VELOCITY, FIX_TYPE = 3, 6  # of a fix
-COMMAND_SOURCE = 12  # of a command, after the outputs
+ATTITUDE_SOURCE, COMMAND_SOURCE = 5, 12  # behind quaternion and system id, behind the outputs
 SPARE_KIND, SPARE_ID, SPARE_NUMBERS = range(3)  # of a redundant sensor
-ATTITUDE_SOURCE = 5  # of an attitude, after the quaternion and the system id
-UNKNOWN_3 = (np.nan, np.nan, np.nan)
+
+
+class RowField(NamedTuple):
+    """A field of a sample in a row: how many numbers it takes, and its conversion from and to
+    them."""
+
+    width: int
+    read: Callable[[Vector], Any]
+    write: Callable[[Any], Iterable[float]]
+
+
+def _known_velocity(v: Vector) -> Vector | None:
+    """A velocity; None if all components are unknown."""
+    # All three, since GPS_RAW_INT gives two components only.
+    return None if np.isnan(v).all() else v
+
+
+NUMBER = RowField(1, lambda v: float(v[0]), lambda x: (x,))
+WHOLE = RowField(1, lambda v: int(v[0]), lambda x: (x,))
+SOURCE = RowField(1, lambda v: SOURCES[int(v[0])], lambda name: (SOURCES.index(name),))
+THREE, FOUR, SIX, TWELVE = (RowField(n, lambda v: v, lambda v: v) for n in (3, 4, 6, 12))
+VELOCITY = RowField(3, _known_velocity, lambda v: (np.nan,) * 3 if v is None else v)
+# The class of each kind, and the fields of its rows; of those without any the samples are kept.
+FORMS: dict[int, tuple[type, tuple[RowField, ...]]] = {
+    IMU: (ImuSample, (THREE, THREE, WHOLE)),
+    MAG: (MagSample, (THREE,)),
+    BARO: (BaroSample, (NUMBER, NUMBER)),
+    AIRSPEED: (AirspeedSample, (NUMBER,)),
+    RANGE: (RangeSample, (NUMBER,)),
+    VISION: (VisionSample, (THREE, VELOCITY, FOUR)),
+    TRUTH: (TruthSample, (FOUR, THREE, NUMBER, NUMBER, NUMBER, THREE)),
+    ATTITUDE: (AttitudeSample, (FOUR, WHOLE, SOURCE)),
+    FIX: (GpsFix, (*[NUMBER] * 3, VELOCITY, WHOLE, WHOLE, NUMBER, NUMBER, SOURCE)),
+    EPOCH: (Epoch, ()),
+    EPHEMERIS: (EphemerisSample, ()),
+    IONOSPHERE: (IonosphereSample, ()),
+    COMMAND: (CommandSample, (TWELVE, SOURCE)),
+    SPARE: (SpareSample, (WHOLE, WHOLE, SIX)),
+}
+KINDS: dict[type, int] = {sample: kind for kind, (sample, _) in FORMS.items()}
 
 
 class Block(NamedTuple):
     """Table of n samples in order.
 
-    `kind` and `t_us` (n,); `values` (n, WIDTH): the samples' fields in order (see `ROWS`); `beside`
-    holds the samples that are not rows of numbers, by row number.
+    `kind` and `t_us` (n,); `values` (n, WIDTH): the samples' fields in order (see `FORMS`);
+    `beside` holds the samples that are not rows of numbers, by row number.
     """
 
     kind: Indices
@@ -90,9 +112,15 @@ class Block(NamedTuple):
 
     def sample(self, row: int) -> Sample:
         """The sample of a row; its vectors are views of the table."""
-        kind = int(self.kind[row])
-        read = SAMPLES.get(kind)
-        return self.beside[row] if read is None else read(int(self.t_us[row]), self.values[row])
+        sample, fields = FORMS[int(self.kind[row])]
+        if not fields:
+            return self.beside[row]
+        values, parts, at = self.values[row], [], 0
+        for field in fields:
+            parts.append(field.read(values[at : at + field.width]))
+            at += field.width
+        found: Sample = sample(int(self.t_us[row]), *parts)
+        return found
 
     def samples(self) -> Iterator[Sample]:
         """Iterate over the samples."""
@@ -120,14 +148,14 @@ def block_of(samples: Sample | Iterable[Sample]) -> Block:
     values = np.zeros((count, WIDTH))
     beside: dict[int, Sample] = {}
     for row, sample in enumerate(listed):
-        number = KINDS[type(sample)]
-        kind[row], t_us[row] = number, sample.t_us
-        write = ROWS.get(number)
-        if write is None:
+        kind[row], t_us[row] = KINDS[type(sample)], sample.t_us
+        fields = FORMS[KINDS[type(sample)]][1]
+        if not fields:
             beside[row] = sample
-        else:
-            numbers = write(sample)
-            values[row, : len(numbers)] = numbers
+        # The first attribute is the timestamp.
+        parts = (getattr(sample, name) for name in sample.__slots__[1 : len(fields) + 1])
+        numbers = [x for f, part in zip(fields, parts, strict=True) for x in f.write(part)]
+        values[row, : len(numbers)] = numbers
     return Block(kind, t_us, values, beside)
 
 
@@ -161,72 +189,6 @@ def join_parts(parts: Sequence[BlockPart], beside: Sequence[tuple[int, Sample]])
     for at, (_, sample) in zip(row[begin:].tolist(), beside, strict=True):
         kind[at], t_us[at], others[at] = KINDS[type(sample)], sample.t_us, sample
     return Block(kind, t_us, values, others)
-
-
-def _or_unknown(v: Vector | None) -> Sequence[float] | Vector:
-    return UNKNOWN_3 if v is None else v
-
-
-# Conversion of each kind of sample to its row.
-ROWS: dict[int, Callable[[Any], Sequence[float]]] = {
-    IMU: lambda s: (*s.gyro_b_rps, *s.accel_b_mps2, s.id),
-    MAG: lambda s: s.field_b_gauss,
-    BARO: lambda s: (s.pressure_pa, s.pressure_alt_m),
-    AIRSPEED: lambda s: (s.diff_pressure_pa,),
-    RANGE: lambda s: (s.distance_m,),
-    VISION: lambda s: (*s.r_ned_m, *_or_unknown(s.v_ned_mps), *s.q_nb),
-    TRUTH: lambda s: (*s.q_nb, *s.omega_b_rps, s.lat_deg, s.lon_deg, s.alt_m, *s.v_ned_mps),
-    ATTITUDE: lambda s: (*s.q_nb, s.system, SOURCES.index(s.source)),
-    COMMAND: lambda s: (*s.outputs, SOURCES.index(s.source)),
-    SPARE: lambda s: (s.kind, s.instance, *s.numbers),
-    FIX: lambda s: (
-        *(s.lat_deg, s.lon_deg, s.alt_m),
-        *_or_unknown(s.v_ned_mps),
-        *(s.fix_type, s.satellites, s.eph_m, s.epv_m, SOURCES.index(s.source)),
-    ),
-}
-
-
-def _known_velocity(v: Vector) -> Vector | None:
-    """A velocity; None if all components are unknown."""
-    # All three, since GPS_RAW_INT gives two components only.
-    return None if np.isnan(v).all() else v
-
-
-def _fix(t_us: int, v: Vector) -> GpsFix:
-    lat, lon, alt, *_, fix_type, satellites, eph_m, epv_m, source = v[:11].tolist()
-    return GpsFix(
-        t_us,
-        lat,
-        lon,
-        alt,
-        _known_velocity(v[FIX_VELOCITY:FIX_TYPE]),
-        int(fix_type),
-        int(satellites),
-        eph_m,
-        epv_m,
-        SOURCES[int(source)],
-    )
-
-
-def _truth(t_us: int, v: Vector) -> TruthSample:
-    lat, lon, alt = v[7:10].tolist()
-    return TruthSample(t_us, v[0:4], v[4:7], lat, lon, alt, v[10:13])
-
-
-SAMPLES: dict[int, Callable[[int, Vector], Sample]] = {
-    IMU: lambda t, v: ImuSample(t, v[RATES:FORCE], v[FORCE:IMU_ID], int(v[IMU_ID])),
-    MAG: lambda t, v: MagSample(t, v[0:3]),
-    BARO: lambda t, v: BaroSample(t, float(v[0]), float(v[1])),
-    AIRSPEED: lambda t, v: AirspeedSample(t, float(v[0])),
-    RANGE: lambda t, v: RangeSample(t, float(v[0])),
-    VISION: lambda t, v: VisionSample(t, v[0:3], _known_velocity(v[3:6]), v[6:10]),
-    TRUTH: _truth,
-    ATTITUDE: lambda t, v: AttitudeSample(t, v[0:4], int(v[4]), SOURCES[int(v[ATTITUDE_SOURCE])]),
-    FIX: _fix,
-    COMMAND: lambda t, v: CommandSample(t, v[:COMMAND_SOURCE], SOURCES[int(v[COMMAND_SOURCE])]),
-    SPARE: lambda t, v: SpareSample(t, int(v[SPARE_KIND]), int(v[SPARE_ID]), v[SPARE_NUMBERS:8]),
-}
 
 
 class ImuRun(NamedTuple):

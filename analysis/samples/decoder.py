@@ -1,13 +1,13 @@
 """Decode MAVLink frames to blocks of samples, the input of all detectors and estimators."""
 
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.samples.block import Block, BlockPart, Indices, Stamps, join_parts
+from analysis.samples.block import Block, Indices, Stamps, join_parts
 from analysis.samples.message_readers import SAMPLE_LINES, read_samples
 from analysis.samples.range_epochs import EpochAssembler
 from analysis.samples.sample import Sample
@@ -24,6 +24,7 @@ MESSAGES = (*SAMPLE_LINES, "TUNNEL")
 STAMPED = ("HIL_SENSOR", "HIL_GPS", "HIL_STATE_QUATERNION")
 REPEATED = "DISTANCE_SENSOR"  # an autopilot sends on the measurements that a simulator gave it
 _ROW_HEAD = struct.Struct("<qBBB")
+_NO_ROWS, _NO_TUNNELS = np.empty(0, np.int64), np.empty(0, row_dtype("TUNNEL"))
 
 
 def columns_of(frames: Iterable[Frame]) -> tuple[Columns, Orders]:
@@ -45,13 +46,13 @@ def columns_of(frames: Iterable[Frame]) -> tuple[Columns, Orders]:
 class Decoder:
     """Decodes the frames of one stream; keeps the state that spans frames (RTCM parts, clocks)."""
 
-    __slots__ = ("_boot", "_fragments", "_ranging", "_stamps")
+    __slots__ = ("_boot", "_fragments", "_newest_us", "_ranging")
 
     def __init__(self) -> None:
         self._fragments = Reassembler()
         self._ranging = EpochAssembler()
         self._boot = BootTime()
-        self._stamps: dict[int, int] = {}
+        self._newest_us: dict[int, int] = {}  # timestamp of each sender
 
     def decode(self, frames: Iterable[Frame]) -> Block:
         """The samples of some frames; messages without a measurement give none."""
@@ -62,33 +63,30 @@ class Decoder:
     ) -> Block:
         """The samples of frames given as columns per message; `orders` are their indices (m,)."""
         parts = []
-        stamps = _Stamps(self._stamps)
-        simulators = {*self._stamps} | {
-            number for name in STAMPED if name in columns for number in _senders(columns[name])
-        }
+        stamped = [
+            (_senders(columns[name]), orders[name], columns[name]["time_usec"].astype(np.int64))
+            for name in STAMPED
+            if name in columns
+        ]
+        simulators = {*self._newest_us}.union(*(sender.tolist() for sender, *_ in stamped))
         for name, rows in columns.items():
             order = orders[name]
             if name == REPEATED and simulators:
                 measured = np.isin(_senders(rows), [*simulators])
                 rows, order = rows[measured], order[measured]
             # Messages without a measurement give no rows.
-            for read in read_samples(name, rows):
-                place, t_us = order[read.row], read.t_us
+            for part in read_samples(name, rows, order):
                 if name == WRAPPED_MESSAGE:
-                    t_us = self._boot.unwrap(t_us, place, columns, orders)
-                parts.append(BlockPart(read.kind, place, t_us, read.values))
-            if name in STAMPED:
-                stamps.learn(_senders(rows), orders[name], rows["time_usec"].astype(np.int64))
-        beside: list[tuple[int, Sample]] = []
-        if "TUNNEL" in columns:
-            # After the loop, since TUNNEL frames are dated by the timestamps of the entire block.
-            beside = self._tunnels(columns["TUNNEL"], orders["TUNNEL"], stamps)
-        self._stamps = stamps.newest()
-        return join_parts(parts, beside)
+                    t_us = self._boot.unwrap(part.t_us, part.order, columns, orders)
+                    part = part._replace(t_us=t_us)
+                parts.append(part)
+        tunnels = columns.get("TUNNEL", _NO_TUNNELS)
+        return join_parts(parts, self._tunnels(tunnels, orders.get("TUNNEL", _NO_ROWS), stamped))
 
     def _tunnels(
-        self, rows: NDArray[Any], order: Indices, stamps: "_Stamps"
+        self, rows: NDArray[Any], order: Indices, stamped: Sequence[tuple[Indices, Indices, Stamps]]
     ) -> list[tuple[int, Sample]]:
+        """Epochs and ephemerides; `stamped` has senders, indices and timestamps of frames (m,)."""
         ours = np.flatnonzero(rows["payload_type"] == PAYLOAD_TYPE)
         # `take` copies complete records; indexing copies field by field and is slower.
         rows, order, sender = rows.take(ours), order[ours], _senders(rows)[ours]
@@ -103,69 +101,30 @@ class Decoder:
         ]
         at = np.array([row for row, _ in found], np.int64)
         places, messages = order[at], [message for _, message in found]
-        stamps_us = stamps.before(sender[at], places)
+        stamps_us = self._before(sender[at], places, stamped)
         return self._ranging.samples(zip(places.tolist(), messages, stamps_us, strict=True))
+
+    def _before(
+        self, sender: Indices, place: Indices, stamped: Sequence[tuple[Indices, Indices, Stamps]]
+    ) -> list[int | None]:
+        """The last timestamps that senders (k,) gave before the frames at `place` (k,)."""
+        parts = [*stamped, (_NO_ROWS,) * 3]
+        of, order, t_us = (np.concatenate(column) for column in zip(*parts, strict=True))
+        found: list[int | None] = [None] * len(place)
+        for number in np.union1d(of, sender).tolist():
+            own, mine = of == number, np.flatnonzero(sender == number)
+            by_place = np.argsort(order[own], kind="stable")
+            # Before the first one of this block counts that of earlier blocks.
+            stamps = [self._newest_us.get(number), *t_us[own][by_place].tolist()]
+            at = np.searchsorted(order[own][by_place], place[mine])
+            for i, row in zip(mine.tolist(), at.tolist(), strict=True):
+                found[i] = stamps[row]
+            if stamps[-1] is not None:
+                self._newest_us[number] = stamps[-1]
+        return found
 
 
 def _senders(rows: NDArray[Any]) -> Indices:
     """One number (m,) per row for its system and component."""
     numbers: Indices = rows["system"].astype(np.int64) << 8 | rows["component"]
     return numbers
-
-
-class _Stamps:
-    """Newest timestamp of each sender before a frame; `before` holds those of earlier blocks."""
-
-    def __init__(self, before: Mapping[int, int]) -> None:
-        self._before = dict(before)
-        self._parts: list[tuple[Indices, Indices, Stamps]] = []
-        self._known: dict[int, tuple[Indices, Stamps]] = {}
-
-    def learn(self, sender: Indices, order: Indices, t_us: Stamps) -> None:
-        """Add timestamps (m,) of frames, with their senders and indices."""
-        self._parts.append((sender, order, t_us))
-
-    def before(self, sender: Indices, place: Indices) -> list[int | None]:
-        """The last timestamps that senders (k,) gave before the frames at `place` (k,)."""
-        found: list[int | None] = [None] * len(place)
-        known = self._by_sender()
-        for number in _distinct_senders(sender):
-            order, t_us = known.get(number, _NO_STAMPS)
-            mine = np.flatnonzero(sender == number)
-            at = np.searchsorted(order, place[mine])  # 0: all of them are later
-            newest = np.append(0, t_us)[at]
-            earlier = self._before.get(number)
-            for i, row, stamp_us in zip(mine.tolist(), at.tolist(), newest.tolist(), strict=True):
-                found[i] = stamp_us if row else earlier
-        return found
-
-    def newest(self) -> dict[int, int]:
-        """The last timestamp of every sender."""
-        known = self._by_sender()
-        # Timestamps of earlier blocks stay where there is no newer one.
-        return self._before | {number: int(t_us[-1]) for number, (_, t_us) in known.items()}
-
-    def _by_sender(self) -> dict[int, tuple[Indices, Stamps]]:
-        """Frame indices and timestamps of each sender in order; call it after the last `learn`."""
-        # Sorted once, at the first call.
-        if self._known or not self._parts:
-            return self._known
-        sender, order, t_us = (np.concatenate(c) for c in zip(*self._parts, strict=True))
-        by_place = np.argsort(order, kind="stable")
-        sender, order, t_us = sender[by_place], order[by_place], t_us[by_place]
-        numbers = _distinct_senders(sender)
-        # Usually there is one vehicle on the link; then no masks are needed.
-        if len(numbers) == 1:
-            self._known = {numbers[0]: (order, t_us)}
-        else:
-            self._known = {n: (order[sender == n], t_us[sender == n]) for n in numbers}
-        return self._known
-
-
-_NO_STAMPS = np.empty(0, np.int64), np.empty(0, np.int64)
-
-
-def _distinct_senders(sender: Indices) -> list[int]:
-    """The distinct senders."""
-    found: list[int] = np.flatnonzero(np.bincount(sender)).tolist()
-    return found

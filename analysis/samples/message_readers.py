@@ -1,15 +1,14 @@
 """MAVLink messages to samples, by the field map."""
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.field_maps.field_map import TLOG, Columns, chosen_rows, rows_of
 from analysis.samples import block
-from analysis.samples.block import SPARE, Indices, Stamps
-from analysis.samples.sample import Vector
+from analysis.samples.block import SPARE, BlockPart, Indices
 
 FIX_3D = 3  # GPS_FIX_TYPE
 # The samples that each message gives.
@@ -22,17 +21,8 @@ SAMPLE_LINES = {
 TIMES = (("time_usec", 1), ("usec", 1), ("time_boot_ms", 1000))
 
 
-class ReadSamples(NamedTuple):
-    """Samples of one kind: their rows in the message, timestamps and values (m, k)."""
-
-    kind: int
-    row: Indices
-    t_us: Stamps
-    values: Vector
-
-
-def read_samples(name: str, rows: NDArray[Any]) -> Iterator[ReadSamples]:
-    """The samples in the rows (n,) of a message."""
+def read_samples(name: str, rows: NDArray[Any], order: Indices) -> Iterator[BlockPart]:
+    """The samples in the rows (n,) of a message; `order` (n,) are the rows' sort keys."""
     every = _columns(rows)
     for line in SAMPLE_LINES.get(name, ()):
         chosen = chosen_rows(line, every)
@@ -50,9 +40,9 @@ def read_samples(name: str, rows: NDArray[Any]) -> Iterator[ReadSamples]:
             known = np.full((len(values), 2), (getattr(block, kind), int(number)), float)
             values = np.column_stack([known, values])
         key, scale = next(time for time in TIMES if time[0] in every)
-        at = np.arange(len(rows)) if chosen is None else chosen
+        at = order if chosen is None else order[chosen]
         row_kind = SPARE if number else getattr(block, kind)
-        yield ReadSamples(row_kind, at, fields[key].astype(np.int64) * scale, values)
+        yield BlockPart(row_kind, at, fields[key].astype(np.int64) * scale, values)
 
 
 def _columns(rows: NDArray[Any]) -> Columns:

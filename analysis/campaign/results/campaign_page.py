@@ -29,8 +29,8 @@ from analysis.campaign.results_store import CellEvidence
 from analysis.estimators import estimator_names
 from analysis.flying.flight_evidence import Evidence, EvidenceCurve
 from analysis.flying.onset import onset_keys
-from analysis.report.page.page_body import table_html
-from analysis.report.page.page_file import embedded_json, html_document, read_asset
+from analysis.report.page.page_body import read_asset, table_html
+from analysis.report.page.page_file import embedded_json, html_document
 from analysis.report.page.page_parts import ReportTable
 from analysis.scoring.requirements import parse_requirements, requirement_arguments
 

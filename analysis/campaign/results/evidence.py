@@ -32,8 +32,8 @@ from analysis.campaign.magnitude_unit import magnitude_units
 from analysis.campaign.outcomes import ABORTED
 from analysis.campaign.results.outcome_grid import GridCell, GridRow, outcome_grid
 from analysis.campaign.results_store import read_campaign_folder
-from analysis.report.page.page_body import table_html
-from analysis.report.page.page_file import html_document, read_asset
+from analysis.report.page.page_body import read_asset, table_html
+from analysis.report.page.page_file import html_document
 from analysis.report.page.page_parts import ReportTable
 from mavproxy_fault import __version__
 from mavproxy_fault.documents.errors import ConfigError

@@ -15,48 +15,24 @@ CORRUPTED = "parts of the file are corrupted and were skipped"
 
 @dataclass(frozen=True, slots=True)
 class AutopilotLog:
-    """Contents of a ULog or a dataflash log; what follows `cut` only a ULog has apart from topics.
+    """Contents of a ULog or a dataflash log; what follows `cut` only a ULog has beside topics."""
 
-    Attributes
-    ----------
-    autopilot : str
-        "px4" or "ardupilot".
-    topics : dict
-        Columns by message name and instance (from 0), with the time in us as `stamp`.
-    start_us, end_us : int
-        First and last time.
-    times : RowTimes
-        What was found out about the stamps.
-    corrupted : bool
-        Whether bytes or messages with an impossible time were skipped.
-    cut : bool
-        Whether the file ends within a message.
-    messages : list of (t_us, severity, text)
-        Texts of the autopilot; severity as in MAVLink, 0 (worst) to 7.
-    parameters, defaults : dict
-        Initial parameters by name, and their default values if the log has them.
-    changes : list of (t_us, name, value)
-        Parameters changed in flight.
-    info : dict
-        The file's information messages (version, hardware).
-    dropouts : list of (t_us, duration_s)
-    printed : dict
-        Console output, processes and performance counters by title.
-    """
-
-    autopilot: str
+    autopilot: str  # "px4" or "ardupilot"
+    # Columns by message name and instance (from 0), with the time in us as `stamp`.
     topics: Mapping[tuple[str, int], Topic]
-    start_us: int
+    start_us: int  # first and last time
     end_us: int
-    times: RowTimes
-    corrupted: bool
-    cut: bool
+    times: RowTimes  # what was found out about the stamps
+    corrupted: bool  # whether bytes or messages with an impossible time were skipped
+    cut: bool  # whether the file ends within a message
     messages: LoggedTexts = field(default_factory=list)
-    parameters: dict[str, float] = field(default_factory=dict)
+    parameters: dict[str, float] = field(default_factory=dict)  # initial ones by name
     defaults: dict[str, float] = field(default_factory=dict)
+    # Time in us, name and value of parameters changed in flight.
     changes: list[tuple[int, str, float]] = field(default_factory=list)
-    info: dict[str, Any] = field(default_factory=dict)
-    dropouts: list[tuple[int, float]] = field(default_factory=list)
+    info: dict[str, Any] = field(default_factory=dict)  # version, hardware
+    dropouts: list[tuple[int, float]] = field(default_factory=list)  # time in us, duration in s
+    # Console output, processes and performance counters by title.
     printed: dict[str, str] = field(default_factory=dict)
 
     @property

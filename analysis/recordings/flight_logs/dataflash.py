@@ -42,15 +42,10 @@ def read_dataflash(
     only: Collection[str] | None = None,
     thin: Callable[[Rows], Rows] = lambda rows: rows,
 ) -> AutopilotLog:
-    """Read a dataflash log, block by block.
+    """Read a dataflash log, block by block: all messages, or `only` those with these names (without
+    numbers of instances).
 
-    Parameters
-    ----------
-    path : str or Path
-    only : collection of str, optional
-        Names of the messages to keep, without numbers of instances; all by default.
-    thin : callable
-        Chooses the rows (k,) to keep of those (n,) of one message in a block.
+    `thin` chooses the rows (k,) to keep of those (n,) of one message in a block.
 
     Raises
     ------

@@ -31,21 +31,11 @@ Places = NDArray[np.int64]
 
 @dataclass(slots=True)
 class BlockWalk:
-    """Counters of a walk over a log.
+    """Formats by type, and counters of a walk over a log."""
 
-    Attributes
-    ----------
-    skipped_bytes : int
-        Bytes that belong to no message found.
-    cut : bool
-        Whether the file ends within a message.
-    boots : list of int
-        Where the logger began: offsets of the format of the formats.
-    """
-
-    skipped_bytes: int = 0
-    cut: bool = False
-    boots: list[int] = field(default_factory=list)
+    skipped_bytes: int = 0  # that belong to no message found
+    cut: bool = False  # whether the file ends within a message
+    boots: list[int] = field(default_factory=list)  # offsets of the format of the formats
     forms: dict[int, MessageFormat] = field(default_factory=dict)
 
 
@@ -118,15 +108,10 @@ def _headers(data: Bytes) -> Places:
 
 
 def find_messages(data: Bytes, lengths: Places, last: bool) -> tuple[Places, int]:
-    """Starts of the messages in a block, and where the first unfinished one starts.
+    """Starts of the messages in a block (n,), and where the first unfinished one starts.
 
-    Parameters
-    ----------
-    data : uint8 array, shape (n,)
-    lengths : int64 array, shape (256,)
-        Length in bytes by type, 0 for a type without a format.
-    last : bool
-        Whether the log ends with this block.
+    `lengths` (256,) are in bytes by type, 0 for a type without a format; `last` is whether the log
+    ends with this block.
     """
     size = len(data)
     heads = _headers(data)

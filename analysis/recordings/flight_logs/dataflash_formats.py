@@ -177,12 +177,8 @@ def assign_types(
 ) -> dict[int, MessageFormat]:
     """Formats by type; one with a wrong type gets that of the messages without a format.
 
-    Parameters
-    ----------
-    found : list of MessageFormat
-        In the order of the file.
-    spacings : dict of Counter
-        By type how often the next header follows after how many bytes.
+    `found` are in the order of the file; `spacings` count, by type, how often the next header
+    follows after how many bytes.
     """
     forms: dict[int, MessageFormat] = {}
     doubtful = []

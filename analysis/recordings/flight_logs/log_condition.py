@@ -14,17 +14,10 @@ Stretch = tuple[int, int]
 
 @dataclass
 class LogCondition:
-    """Collected by the readers of a log.
+    """Collected by the readers of a log."""
 
-    Attributes
-    ----------
-    damage : list of str
-        One description per kind of corruption or missing part.
-    lost_us : list of (from_us, to_us)
-        Periods in which the logger reports dropped records; the sensors may have been sampled.
-    """
-
-    damage: list[str] = field(default_factory=list)
+    damage: list[str] = field(default_factory=list)  # one text per kind of damage
+    # Periods in which the logger reports dropped records; the sensors may have been sampled.
     lost_us: list[Stretch] = field(default_factory=list)
 
     def note_junk(self, junk_bytes: int, size: int) -> None:

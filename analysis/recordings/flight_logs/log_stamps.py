@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from analysis.recordings.flight_logs.log_time import LONGEST_GAP_US, PAUSE_US
 from analysis.recordings.flight_logs.misdated_stamps import find_misdated, find_restarts
 from mavproxy_fault.wire.dialect import message_layout
-from mavproxy_fault.wire.tlog import Columns
+from mavproxy_fault.wire.tlog import Columns, row_dtype
 
 GROUND_STATION, NO_AUTOPILOT = 6, 8  # MAV_TYPE_GCS; MAV_AUTOPILOT_INVALID: cameras, gimbals
+NO_BEATS = np.empty(0, row_dtype("HEARTBEAT"))
 SET_US = 2_000_000  # chosen: a larger lasting change of the stamps' offset is a clock that was set
 LASTING_US = 30_000_000  # chosen: frames that a stalled link delivers late have caught up by then
 LATEST_US = 60_000_000  # chosen: no link delivers a frame so late
@@ -59,26 +60,24 @@ class StampState:
         return found
 
 
+def autopilot_beats(columns: Columns) -> NDArray[np.void]:
+    """The heartbeats of autopilots: not of ground stations, cameras or gimbals."""
+    beats = columns.get("HEARTBEAT", NO_BEATS)
+    own = (beats["type"] != GROUND_STATION) & (beats["autopilot"] != NO_AUTOPILOT)
+    return np.asarray(beats[own])
+
+
 def autopilot_component(columns: Columns) -> int:
     """Component id of the autopilot, by its heartbeats; -1 if there are none."""
-    beats = columns.get("HEARTBEAT")
-    if beats is None:
-        return -1
-    beats = beats[(beats["type"] != GROUND_STATION) & (beats["autopilot"] != NO_AUTOPILOT)]
+    beats = autopilot_beats(columns)
     return int(np.bincount(beats["component"]).argmax()) if len(beats) else -1
 
 
 def steady_stamps(frames: NDArray[np.void], columns: Columns, state: StampState) -> None:
     """Remove jumps of the log's clock from the timestamps of a log or of the next block of it.
 
-    Parameters
-    ----------
-    frames : structured array, shape (n,)
-        As `mavproxy_fault.wire.tlog.Log.frames`; `t_us` is changed in place.
-    columns : dict of structured arrays
-        Of the same frames; `t_us` is changed in place.
-    state : StampState
-        Carried from block to block; changed.
+    `t_us` of the `frames` (n,), which are as `mavproxy_fault.wire.tlog.Log.frames`, and of the
+    columns of the same frames is changed in place; so is `state`, carried from block to block.
     """
     if not len(frames):
         return

@@ -42,28 +42,16 @@ class RowStamps(NamedTuple):
 
 @dataclass(slots=True)
 class RowTimes:
-    """The times of rows by message, which of them count, and what was found.
+    """The times of rows by message, which of them count, and what was found."""
 
-    Attributes
-    ----------
-    times, keep : dict
-        Times in us, shape (n,), and rows with a credible stamp.
-    restarts, settings : int
-        Boots after the first one; settings of the clock.
-    stale, begin_us : int
-        Rows from before the log, which count as of its beginning, and when that was.
-    unstamped, misdated : bool
-        Whether rows have no stamp, or a wrong one.
-    """
-
-    times: dict[Any, Stamps]
-    keep: dict[Any, NDArray[np.bool_]]
-    restarts: int = 0
-    settings: int = 0
-    stale: int = 0
+    times: dict[Any, Stamps]  # in us, shape (n,)
+    keep: dict[Any, NDArray[np.bool_]]  # rows (n,) with a credible stamp
+    restarts: int = 0  # boots after the first one
+    settings: int = 0  # of the clock
+    stale: int = 0  # rows from before the log, which count as of its beginning
     begin_us: int = 0
-    unstamped: bool = False
-    misdated: bool = False
+    unstamped: bool = False  # whether rows have no stamp
+    misdated: bool = False  # or a wrong one
 
     def notes(self) -> list[str]:
         """Notes for readers of the report."""
@@ -85,17 +73,11 @@ class RowTimes:
 def place_rows(
     messages: Mapping[Any, RowStamps], boots: Sequence[int] = (), begin_us: int | None = None
 ) -> RowTimes:
-    """Find the time of every row of a log.
+    """Find the time of every row of a log, by message (and instance).
 
-    Parameters
-    ----------
-    messages : dict of RowStamps
-        By message (and instance).
-    boots : sequence of int
-        Places in the file at which the logger began anew.
-    begin_us : int, optional
-        When the log began, where rows have the stamps of their publication, which may be long
-        before they are logged: the newest sample of every topic is logged first.
+    `boots` are places in the file at which the logger began anew. `begin_us` is when the log began,
+    where rows have the stamps of their publication, which may be long before they are logged: the
+    newest sample of every topic is logged first.
     """
     found = RowTimes({}, {})
     topics = begin_us is not None
@@ -167,23 +149,13 @@ def _in_file_order(parts: Sequence[tuple[Stamps, Stamps]]) -> tuple[Stamps, Stam
 
 
 class RowClock(NamedTuple):
-    """The vehicle's time along a log.
+    """The vehicle's time along a log."""
 
-    Attributes
-    ----------
-    at, t_us : int64 arrays, shape (n,)
-        Places in the log of rows with a stamp, in order, and their times in us.
-    edges, shifts : int64 arrays, shape (k,) and (k + 1,)
-        Places from which another clock counts, and what joins each clock to the one before.
-    restarts : int
-        How many of the edges are restarts of the vehicle.
-    """
-
-    at: Stamps
-    t_us: Stamps
-    edges: Stamps
-    shifts: Stamps
-    restarts: int
+    at: Stamps  # places in the log (n,) of rows with a stamp, in order
+    t_us: Stamps  # and their times (n,)
+    edges: Stamps  # places (k,) from which another clock counts
+    shifts: Stamps  # what joins each clock (k + 1,) to the one before, us
+    restarts: int  # how many of the edges are restarts of the vehicle
 
     def continued(self, places: Stamps, stamp_us: Stamps) -> Stamps:
         """The times of stamps (n,) at `places`."""
@@ -210,17 +182,10 @@ class RowClock(NamedTuple):
 def join_clocks(
     parts: Sequence[tuple[Stamps, Stamps]], boots: Stamps | None, pause_us: int | None = PAUSE_US
 ) -> tuple[RowClock, Stamps]:
-    """The clock of rows, and the places of rows with a wrong stamp.
+    """The clock of rows, given as places and stamps, and the places of rows with a wrong stamp.
 
-    Parameters
-    ----------
-    parts : sequence of (at, stamp_us)
-        Places and stamps of rows.
-    boots : int64 array or None
-        Places at which the logger began anew; None: the vehicle restarts where its clock falls
-        back.
-    pause_us : int or None
-        Between two boots; None: that between their places, which are times.
+    `boots` are places at which the logger began anew; None: the vehicle restarts where its clock
+    falls back. `pause_us` lies between two boots; None: that between their places, which are times.
     """
     at, t_us = _in_file_order(parts)
     wrong = find_misdated(t_us)

@@ -57,32 +57,18 @@ class ULogTopic:
 
 @dataclass(slots=True)
 class ULogMessages:
-    """What a walk over a log collects.
+    """What a walk over a log collects."""
 
-    Attributes
-    ----------
-    formats : dict
-        Fields (type, length, name) by format.
-    topics : dict
-        By message id.
-    others : list of (offset, kind, payload)
-        All messages that are not of topics, in order.
-    appended : list of int
-        Offsets at which data were appended, behind an unfinished message.
-    begin_us : int
-        When the log began, by its header.
-    skipped_bytes : int
-    cut : bool
-        Whether the file ends within a message.
-    """
-
+    # Fields (type, length, name) by format.
     formats: dict[str, list[tuple[str, int, str]]] = field(default_factory=dict)
-    topics: dict[int, ULogTopic] = field(default_factory=dict)
+    topics: dict[int, ULogTopic] = field(default_factory=dict)  # by message id
+    # Offset, kind and payload of all messages that are not of topics, in order.
     others: list[tuple[int, str, bytes]] = field(default_factory=list)
+    # Offsets at which data were appended, behind an unfinished message.
     appended: list[int] = field(default_factory=list)
-    begin_us: int = 0
+    begin_us: int = 0  # when the log began, by its header
     skipped_bytes: int = 0
-    cut: bool = False
+    cut: bool = False  # whether the file ends within a message
 
 
 def read_messages(

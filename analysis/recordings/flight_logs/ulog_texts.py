@@ -9,7 +9,6 @@ definitions in the log [1]_. A log without definitions gives no event texts.
 import contextlib
 import io
 from collections.abc import Mapping
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -41,7 +40,11 @@ def logged_texts(
     `events` are the columns of the topic `event`; `info` and `several` the information messages,
     with the definitions of the events.
     """
-    log = _EventLog(SimpleNamespace(data=events), several, info)
+    # What pyulog needs to read events.
+    log = SimpleNamespace(
+        get_dataset=lambda _: SimpleNamespace(data=events),
+        msg_info_multiple_dict=several, msg_info_dict=info,
+    )  # fmt: skip
     new = [
         (t_us, severity, text)
         for t_us, severity, text in _events(log)
@@ -50,19 +53,6 @@ def logged_texts(
         )
     ]
     return sorted(texts + new, key=lambda row: row[0])
-
-
-@dataclass(frozen=True, slots=True)
-class _EventLog:
-    """What pyulog needs to read events."""
-
-    topic: SimpleNamespace
-    msg_info_multiple_dict: Mapping[str, list[list[Any]]]
-    msg_info_dict: Mapping[str, Any]
-
-    def get_dataset(self, _: str) -> SimpleNamespace:
-        """The topic of events."""
-        return self.topic
 
 
 def printed_texts(several: Mapping[str, list[list[Any]]]) -> dict[str, str]:
@@ -78,7 +68,7 @@ def printed_texts(several: Mapping[str, list[list[Any]]]) -> dict[str, str]:
     return found
 
 
-def _events(log: _EventLog) -> LoggedTexts:
+def _events(log: SimpleNamespace) -> LoggedTexts:
     from pyulog.px4_events import PX4Events
 
     reader = PX4Events()

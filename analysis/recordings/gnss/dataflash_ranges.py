@@ -25,7 +25,6 @@ from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 
-DATAFLASH = ".bin"
 # Names in the log of RAWX fields.
 HEAD_FIELDS = {"tow_s": "rcvTime", "week": "week", "leap_s": "leapS"}
 RANGE_FIELDS = {
@@ -42,11 +41,6 @@ RANGE_FIELDS = {
 # GLONASS channels are within 0.3 % of channel 0; B1I is 0.9 % from L1.
 SAME_CARRIER = 0.004
 SAME_EPOCH_S = 0.02  # receivers measure at multiples of 0.1 s of GPS time, within 1 ms
-
-
-def is_dataflash_name(path: Path) -> bool:
-    """Whether a file name is that of a dataflash log."""
-    return path.name.lower().endswith(DATAFLASH)
 
 
 def read_dataflash_ranges(path: Path) -> list[Epoch]:

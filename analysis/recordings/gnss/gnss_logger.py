@@ -44,14 +44,6 @@ SAME_CARRIER = 0.004  # GLONASS channels are within 0.3 % of channel 0; B1I is 0
 GPS_DAY_ZERO = date(1980, 1, 6)
 
 
-def is_gnss_logger(path: Path) -> bool:
-    """Whether a file is a telephone's log: RINEX files are texts too."""
-    if not path.name.lower().endswith(".txt") or not path.is_file():
-        return False
-    with path.open("rb") as file:
-        return b"RINEX VERSION" not in file.readline()
-
-
 def read_gnss_logger(path: Path) -> list[Epoch]:
     """All epochs of a telephone's log.
 

@@ -1,22 +1,39 @@
 """Read logs in receivers' formats: u-blox (also in autopilot logs), Septentrio, Android, RTCM 3."""
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 
-from analysis.recordings.gnss.dataflash_ranges import is_dataflash_name, read_dataflash_ranges
-from analysis.recordings.gnss.gnss_logger import is_gnss_logger, read_gnss_logger
-from analysis.recordings.gnss.rtcm_file import is_rtcm, read_rtcm
-from analysis.recordings.gnss.sbf_log import is_sbf, read_sbf
-from analysis.recordings.gnss.ubx_log import is_ubx, read_ubx
+from analysis.recordings.gnss.dataflash_ranges import read_dataflash_ranges
+from analysis.recordings.gnss.gnss_logger import read_gnss_logger
+from analysis.recordings.gnss.rtcm_file import read_rtcm
+from analysis.recordings.gnss.sbf_log import read_sbf
+from analysis.recordings.gnss.ubx_log import read_ubx
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
+
+Contents = tuple[list[Epoch], list[EphemerisSample | IonosphereSample]]
+# The ends of files' names: of u-blox, PX4, Septentrio (its own: SEPT078M.21_), RTCM, ArduPilot.
+READERS: dict[str, Callable[[Path], Contents]] = {
+    r"\.(ubx|ubx\.gz|ulg)": read_ubx,
+    r"\.(sbf|\d\d_)(\.gz)?": read_sbf,
+    r"\.rtcm3?": read_rtcm,
+    r"\.bin": lambda path: (read_dataflash_ranges(path), []),
+    r"\.txt": lambda path: (read_gnss_logger(path), []),
+}
 
 
 def is_receiver_log(path: Path) -> bool:
     """Whether a file name is that of a receiver log or of an autopilot log that may hold one."""
-    kinds = (is_ubx, is_sbf, is_rtcm, is_dataflash_name, is_gnss_logger)
-    return any(is_kind(path) for is_kind in kinds)
+    if path.suffix.lower() != ".txt":
+        return _ending(path) is not None
+    # A telephone's log; RINEX files are texts too.
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return b"RINEX VERSION" not in file.readline()
 
 
-def read_receiver_log(path: Path) -> tuple[list[Epoch], list[EphemerisSample | IonosphereSample]]:
+def read_receiver_log(path: Path) -> Contents:
     """Epochs of a receiver log; and its ephemerides and Klobuchar coefficients, with timestamp 0.
 
     Raises
@@ -24,10 +41,9 @@ def read_receiver_log(path: Path) -> tuple[list[Epoch], list[EphemerisSample | I
     ConfigError
         If it cannot be read, or holds no pseudoranges.
     """
-    if is_dataflash_name(path):
-        return read_dataflash_ranges(path), []
-    if is_gnss_logger(path):
-        return read_gnss_logger(path), []
-    if is_rtcm(path):
-        return read_rtcm(path)
-    return read_sbf(path) if is_sbf(path) else read_ubx(path)
+    return READERS[_ending(path) or ""](path)
+
+
+def _ending(path: Path) -> str | None:
+    name = path.name.lower()
+    return next((ending for ending in READERS if re.search(f"{ending}$", name)), None)

@@ -9,11 +9,6 @@ from mavproxy_fault.rtcm.ephemeris_messages import SYSTEMS
 from mavproxy_fault.rtcm.transport import message_number, split_messages
 
 
-def is_rtcm(path: Path) -> bool:
-    """Whether a file name is that of RTCM 3 messages."""
-    return path.name.lower().endswith((".rtcm", ".rtcm3"))
-
-
 def read_rtcm(path: Path) -> tuple[list[Epoch], list[EphemerisSample | IonosphereSample]]:
     """All epochs of a file, and its ephemerides with timestamp 0.
 

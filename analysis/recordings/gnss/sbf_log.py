@@ -12,7 +12,6 @@ References
 
 import gzip
 import math
-import re
 import zlib
 from binascii import crc_hqx
 from collections.abc import Iterator
@@ -30,7 +29,6 @@ from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import L1_HZ
 
-SUFFIX = re.compile(r"\.(sbf|\d\d_)(\.gz)?$", re.IGNORECASE)  # Septentrio's own: SEPT078M.21_
 SYNC = b"$@"
 OVERHEAD_BYTES = 8  # bytes of a block outside its payload
 NUMBER = 0x1FFF  # bits of the block number, below its revision
@@ -67,11 +65,6 @@ CARRIERS_HZ = {
     **dict.fromkeys((10, 11), G2_HZ),
     **{19: E6_HZ, 22: E5_HZ, 28: B1I_HZ, 30: B3I_HZ},
 }
-
-
-def is_sbf(path: Path) -> bool:
-    """Whether a file name is that of a Septentrio log."""
-    return SUFFIX.search(path.name) is not None
 
 
 def read_sbf(path: Path) -> tuple[list[Epoch], list[EphemerisSample | IonosphereSample]]:

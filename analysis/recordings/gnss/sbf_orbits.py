@@ -11,6 +11,8 @@ References
    in the tests.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from analysis.orbits.broadcast import BEIDOU_TIME_OFFSET_S
@@ -79,9 +81,11 @@ NUMBERS = (  # first and last SVID, system letter, offset to the satellite numbe
 )
 
 
-def satellite_name(number: int) -> str | None:
+def satellite_name(
+    number: int, numbers: Sequence[tuple[int, int, str, int]] = NUMBERS
+) -> str | None:
     """The name of the satellite with an SVID; None for unsupported systems (SBAS, NavIC)."""
-    for first, last, letter, added in NUMBERS:
+    for first, last, letter, added in numbers:
         if first <= number <= last:
             return f"{letter}{number - added:02d}"
     return None

@@ -72,11 +72,6 @@ TO_RECEIVER = 0x80  # bit of `len` of a GpsDump
 MAX_DUMP_BYTES = 79
 
 
-def is_ubx(path: Path) -> bool:
-    """Whether a file name is that of a u-blox log, or of a PX4 log, which may hold one."""
-    return path.name.lower().endswith((".ubx", ".ubx.gz", ULOG))
-
-
 def read_ubx(path: Path) -> tuple[list[Epoch], list[Broadcast]]:
     """All epochs of a log; and its ephemerides and Klobuchar coefficients, with timestamp 0.
 

@@ -109,36 +109,10 @@ class LinkQuality(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FlightData:
-    """The data of one flight from all its logs.
-
-    Attributes
-    ----------
-    autopilot : str
-        "px4", "ardupilot" or "".
-    parameters : dict
-        All (t_s, value) in the log by name, in order.
-    notes : list of str
-        Remarks for the reader: truncated data, clock jumps.
-    systems : tuple of int
-        MAVLink system ids of the vehicles.
-    size, junk_bytes : int
-        Bytes of the logs, and bytes outside frames.
-    utc0_us : int
-        UTC at zero on the axis; 0 if unknown.
-    messages : dict
-        All messages of the log by name.
-    defaults : dict
-        Default values of parameters, if the log has them.
-    printed : dict
-        Console output, processes and performance counters by title.
-    vehicle : str
-        Class of the vehicle (`vehicle_phase.CLASSES`), "" if unknown.
-    identity : dict
-        Firmware, board, UUID and frame, as far as the log says.
-    """
+    """The data of one flight from all its logs."""
 
     name: str
-    autopilot: str = ""
+    autopilot: str = ""  # "px4", "ardupilot" or ""
     t0_us: int = 0
     duration_s: float = 0.0
     signals: list[Signal] = field(default_factory=list)
@@ -146,16 +120,19 @@ class FlightData:
     events: list[Event] = field(default_factory=list)
     tracks: list[GroundTrack] = field(default_factory=list)
     links: list[LinkQuality] = field(default_factory=list)
+    # All (t_s, value) in the log by name, in order.
     parameters: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    systems: tuple[int, ...] = ()
-    size: int = 0
+    notes: list[str] = field(default_factory=list)  # for the reader: truncated data, clock jumps
+    systems: tuple[int, ...] = ()  # MAVLink system ids of the vehicles
+    size: int = 0  # bytes of the logs, and those outside frames
     junk_bytes: int = 0
-    utc0_us: int = 0
-    messages: dict[str, Message] = field(default_factory=dict)
-    defaults: dict[str, float] = field(default_factory=dict)
+    utc0_us: int = 0  # UTC at zero on the axis; 0 if unknown
+    messages: dict[str, Message] = field(default_factory=dict)  # all of the log by name
+    defaults: dict[str, float] = field(default_factory=dict)  # of parameters, if the log has them
+    # Console output, processes and performance counters by title.
     printed: dict[str, str] = field(default_factory=dict)
-    vehicle: str = ""
+    vehicle: str = ""  # its class (`vehicle_phase.CLASSES`), "" if unknown
+    # Firmware, board, UUID and frame, as far as the log says.
     identity: dict[str, str] = field(default_factory=dict)
 
     def add_parameter(self, name: str, t_s: float, value: float) -> None:
@@ -243,29 +220,6 @@ def true_runs(active: NDArray[np.bool_]) -> list[tuple[int, int]]:
     )
 
 
-REJECTED_S = 1.0  # chosen: single measurements are rejected in nominal flights too
-
-
-def active_spans(
-    lane: str,
-    t_s: NDArray[np.float64],
-    active: NDArray[np.bool_],
-    text: str,
-    kind: str,
-    least_s: float = 0.0,
-) -> list[Span]:
-    """One span per run of True at the times `t_s` (n,) that lasts at least `least_s`.
-
-    It ends at the first False.
-    """
-    last = len(t_s) - 1
-    return [
-        Span(lane, float(t_s[begin]), stop_s, text, kind)
-        for begin, end in true_runs(active)
-        if (stop_s := float(t_s[min(end, last)])) - float(t_s[begin]) >= least_s
-    ]
-
-
 def flag_events(spans: Sequence[Span], end_s: float) -> list[Event]:
     """Events of flags raised and cleared; a flag until `end_s`, the end of the log, is not
     cleared."""
@@ -279,11 +233,16 @@ def flag_events(spans: Sequence[Span], end_s: float) -> list[Event]:
 
 
 def value_spans(
-    lane: str, t_s: Vector, values: Sequence[str] | NDArray[np.str_], kind: str = "mode"
+    lane: str,
+    t_s: Vector,
+    values: Sequence[str] | NDArray[np.str_],
+    kind: str = "mode",
+    least_s: float = 0.0,
 ) -> list[Span]:
-    """One span per run of equal, non-empty values at the times `t_s` (n,)."""
+    """One span per run of equal, non-empty values at the times `t_s` (n,) that lasts `least_s`."""
     words = np.asarray(values)
     begins = np.flatnonzero(np.append(True, words[1:] != words[:-1])[: len(words)])
     ends = np.append(begins[1:], len(words) - 1)
     rows = zip(t_s[begins].tolist(), t_s[ends].tolist(), words[begins].tolist(), strict=True)
-    return [Span(lane, begin, end, word, kind) for begin, end, word in rows if word]
+    return [Span(lane, begin, end, word, kind) for begin, end, word in rows
+            if word and end - begin >= least_s]  # fmt: skip

@@ -62,7 +62,6 @@ class Spectrogram:
     `axis` is "time" (s) or "throttle" (%).
     """
 
-    title: str
     axis: str
     start: float
     end: float
@@ -203,12 +202,12 @@ def _images(recording: FlightData, fast: Sequence[Signal]) -> list[Spectrogram]:
     highest_hz = float(frequency_hz[-1])
     # Columns extend by half a step on both sides.
     begin, end = start_s + float(t_s[0]) - step_s / 2, start_s + float(t_s[-1]) + step_s / 2
-    images = [Spectrogram("by time", "time", begin, end, highest_hz, level_db)]
+    images = [Spectrogram("time", begin, end, highest_hz, level_db)]
     throttle = recording.of("throttle")
     if throttle:
         by_throttle = _by_throttle(throttle[0], start_s + t_s, level_db)
         if by_throttle is not None:
-            images.append(Spectrogram("by throttle", "throttle", 0, 100, highest_hz, by_throttle))
+            images.append(Spectrogram("throttle", 0, 100, highest_hz, by_throttle))
     return images
 
 

@@ -35,22 +35,10 @@ class FieldData:
 
 
 def field_data(messages: Mapping[str, Message], where: str, folder: Path) -> FieldData:
-    """Pack the fields of all messages.
+    """Pack the fields of all messages (by name).
 
-    Parameters
-    ----------
-    messages : dict
-        By name.
-    where : str
-        "beside" writes them to `report-data` in `folder`; else their size limit within the page in
-        MB.
-    folder : Path
-        The report's folder.
-
-    Raises
-    ------
-    ConfigError
-        If `where` is neither "beside" nor a size.
+    `where` is "beside", which writes them to `report-data` in the report's `folder`, or their size
+    limit within the page in MB; anything else raises ConfigError.
     """
     most_mb = None if where == BESIDE else _megabytes(where)
     # `--data 0`: no fields, and no search box.

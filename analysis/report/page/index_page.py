@@ -1,12 +1,14 @@
 """Render the index page of many flights: one row each, sortable and filterable."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from html import escape
+from string import Template
 from typing import Any
 from urllib.parse import quote
 
-from analysis.report.page.page_body import css_class
-from analysis.report.page.page_file import html_document, read_asset
+from analysis.report.page.page_body import css_class, read_asset, read_markup
+from analysis.report.page.page_file import html_document
 
 HEAD = ("verdict", "flight", "duration, s", "autopilot", "worst checks")
 UNREADABLE = "unreadable"
@@ -16,20 +18,12 @@ def index_html(title: str, rows: Sequence[Mapping[str, Any]]) -> str:
     """The complete HTML file; `rows` as in `log_folder`, links relative to the file."""
     script, style = read_asset("index.js"), read_asset("page.css")
     head = "".join(f"<th><button>{escape(name)}</button></th>" for name in HEAD)
-    counts: dict[str, int] = {}
-    for row in rows:
-        counts[row["verdict"]] = counts.get(row["verdict"], 0) + 1
     facts = "".join(
         f'<div><b class="{css_class(word)}">{count}</b><span>{escape(word)}</span></div>'
-        for word, count in sorted(counts.items())
+        for word, count in sorted(Counter(row["verdict"] for row in rows).items())
     )
-    body = (
-        f"<header><h1>{escape(title)}</h1></header><main>"
-        f'<div class="facts"><div><b>{len(rows)}</b><span>flights</span></div>{facts}</div>'
-        '<p><label>Show rows with <input id="filter" placeholder="FAIL, vibration, ..."></label> '
-        '<span id="shown" class="note" role="status"></span></p>'
-        f'<div class="wide"><table id="flights"><thead><tr>{head}</tr></thead>'
-        f"<tbody>{''.join(map(_row, rows))}</tbody></table></div></main>"
+    body = Template(read_markup("flights.html")).substitute(
+        title=escape(title), count=len(rows), facts=facts, head=head, rows="".join(map(_row, rows))
     )
     return html_document(title, style, body, script)
 

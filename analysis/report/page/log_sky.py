@@ -7,15 +7,16 @@ the zenith, but PX4's u-blox driver writes the angle above the horizon, and the 
 
 import numpy as np
 
+from analysis.recordings.gnss.sbf_orbits import satellite_name
 from analysis.report.curves.recording import FlightData, Message, Vector
 from analysis.report.page.gnss_figures import Picture, draw_sky
 from mavproxy_fault.documents.extras import has_extra
 
 AZIMUTH_STEPS = 255.0
-# First and last number of each system in u-blox's common numbering, and its letter.
+# First and last number of each system in u-blox's common numbering, its letter, and the offset.
 SATELLITE_NUMBERS = (
-    (1, 32, "G"), (33, 64, "C"), (65, 96, "R"), (120, 158, "S"), (159, 163, "C"), (193, 202, "J"),
-    (211, 246, "E"),
+    (1, 32, "G", 0), (33, 64, "C", 27), (65, 96, "R", 64), (120, 158, "S", 119),
+    (159, 163, "C", 158), (193, 202, "J", 192), (211, 246, "E", 210),
 )  # fmt: skip
 SKY_MESSAGES = (("satellite_info", "svid", ""), ("GPS_STATUS", "satellite_prn", "satellite_"))
 
@@ -56,15 +57,6 @@ def _table(message: Message, name: str) -> Vector:
 def _picture(rows: Vector) -> Picture:
     numbers, place = np.unique(rows[:, 0], return_inverse=True)
     unused, places = (rows[:, 3] == 0.0).astype(float), place.astype(float)
-    names = [_name(number) for number in numbers]
+    names = [satellite_name(int(n), SATELLITE_NUMBERS) or str(int(n)) for n in numbers]
     title = "Sky plot by the receiver; unused satellites in red"
     return title, draw_sky(rows[:, 1], rows[:, 2], unused, places, names)
-
-
-def _name(number: float) -> str:
-    for first, last, system in SATELLITE_NUMBERS:
-        if first <= number <= last:
-            # BeiDou's second range continues after its first five.
-            place = number - first + (6 if first == 33 else 1)
-            return f"{system}{int(place):02}"
-    return str(int(number))

@@ -6,6 +6,7 @@ Texts of a log are untrusted and always escaped.
 import base64
 from collections.abc import Sequence
 from html import escape
+from importlib.resources import files
 
 from analysis.report.curves.panels import (
     BY_KEY,
@@ -25,7 +26,21 @@ MAP = "Map"
 # Open on narrow screens too, as the most important sections.
 OPEN_WHEN_NARROW = (TIMELINE, CHECKS)
 EVENTS_SHOWN = 400
+# What sections begin with.
+BEGINNINGS = {
+    TIMELINE: "timeline.html", FIELDS: "fields.html", MAP: "map.html", SPECTRA: "spectra.html",
+}  # fmt: skip
 NEAR_S = 5.0  # shown before and after a clicked event
+
+
+def read_asset(name: str) -> str:
+    """The text of a file in `assets`."""
+    return (files("analysis.report.page") / "assets" / name).read_text(encoding="utf-8")
+
+
+def read_markup(name: str) -> str:
+    """The HTML of a file in `assets`; its lines are joined."""
+    return read_asset(name).replace("\n", "")
 
 
 def section_anchor(name: str) -> str:
@@ -86,20 +101,14 @@ def overview_html(page: ReportPage, recording: FlightData) -> str:
 
 def section_html(section: str, page: ReportPage, recording: FlightData, model: Model) -> str:
     """One foldable section."""
-    parts = []
-    if section == TIMELINE and recording.spans:
-        parts.append(_TIMELINE)
-    if section == FIELDS:
-        parts.append(_FIELDS)
-    if section == MAP:
-        parts.append(_MAP)
+    begins = section in BEGINNINGS and (section != TIMELINE or bool(recording.spans))
+    parts = [read_markup(BEGINNINGS[section])] if begins else []
     plots = [
         _plot(panel["key"], panel["title"])
         for panel in model["panels"]
         if BY_KEY[panel["key"]].section == section
     ]
     if section == SPECTRA:
-        parts.append(_SPECTRA)
         plots = [_plot(panel["key"], panel["title"]) for panel in model["spectra"]]
         plots += [
             _plot(f"{panel['key']}-{image['axis']}", f"{panel['title']}, {image['title']}")
@@ -133,35 +142,6 @@ def _picture(title: str, svg: bytes) -> str:
     data = base64.b64encode(svg).decode("ascii")
     image = f'<img alt="{escape(title)}" src="data:image/svg+xml;base64,{data}">'
     return f'<div class="plot"><h3>{escape(title)}</h3>{image}</div>'
-
-
-_TIMELINE = (
-    '<div class="plot"><div class="readout" id="timeline-readout"></div>'
-    '<div class="area" id="timeline"></div></div>'
-    '<p class="note hint">Drag over any plot to zoom all of them; double click for the '
-    "entire flight; click a legend entry to hide its curve, a time in a table to show it.</p>"
-)
-_FIELDS = (
-    '<form id="field-form"><label>Plot <input id="field-text" list="field-names" '
-    'autocomplete="off" spellcheck="false" placeholder="MESSAGE.field, or an expression"></label>'
-    '<datalist id="field-names"></datalist><button>plot</button>'
-    '<span id="field-said" class="note" role="status"></span></form>'
-    '<p class="note hint">Any field of any message; several on one axis with commas between them; '
-    "expressions of + - * / ^, abs, sqrt, sin, cos, atan2, hypot, min, max, diff (by time), deg, "
-    "rad, mean(field, seconds). The page address stores the plotted expressions.</p>"
-    '<div class="plots" id="field-plots"></div>'
-)
-_MAP = (
-    '<div class="key" id="track-key"></div><div class="tracks">'
-    '<canvas id="map" role="img" aria-label="Tracks from above" tabindex="0"></canvas>'
-    '<canvas id="space" role="img" aria-label="Tracks in space" tabindex="0"></canvas></div>'
-    '<p class="note hint">Drag to move (left) or turn (right), wheel to zoom, double click '
-    "to reset. Ellipses are 95 % regions, from the accuracy in the log.</p>"
-)
-_SPECTRA = (
-    '<p class="note">While armed, if the log has the arming state. Dashed lines are filter '
-    "and motor frequencies. A spectrum ends at half the logging rate.</p>"
-)
 
 
 def _events(recording: FlightData) -> str:

@@ -8,7 +8,7 @@ import base64
 import hashlib
 import json
 from html import escape
-from importlib.resources import files
+from string import Template
 
 from analysis.report.curves.recording import FlightData
 from analysis.report.page.field_data import FieldData
@@ -16,6 +16,8 @@ from analysis.report.page.packed_numbers import PackedNumbers
 from analysis.report.page.page_body import (
     css_class,
     overview_html,
+    read_asset,
+    read_markup,
     section_anchor,
     section_html,
     sections_of,
@@ -48,37 +50,28 @@ def page_html(page: ReportPage, recording: FlightData, fields: FieldData | None 
         f'<script type="text/plain" id="fields-{number}">{text}</script>'
         for number, text in fields.inside.items()
     )
-    body = "".join(
-        (
-            f"<header><h1>{escape(page.title)}</h1>",
-            f'<p class="verdict {css_class(page.verdict)}">{escape(page.verdict)}</p></header>',
-            _navigation(links),
-            "<main>",
-            overview_html(page, recording),
-            *(section_html(section, page, recording, model) for section in sections),
-            f'</main><script type="application/json" id="model">{embedded_json(model)}</script>',
-            f'<script type="text/plain" id="numbers">{numbers.text()}</script>{blocks}',
-            f"<!-- uPlot: {read_asset('uPlot.LICENSE')} -->",
-        )
+    body = Template(read_markup("report.html")).substitute(
+        title=escape(page.title),
+        verdict_class=css_class(page.verdict),
+        verdict=escape(page.verdict),
+        links=links,
+        overview=overview_html(page, recording),
+        sections="".join(section_html(name, page, recording, model) for name in sections),
+        model=embedded_json(model),
+        numbers=numbers.text(),
+        blocks=blocks,
+        licence=read_asset("uPlot.LICENSE"),
     )
     return html_document(page.title, style, body, script)
 
 
 def html_document(title: str, style: str, body: str, script: str) -> str:
     """A complete HTML file that needs no network, and loads nothing from it."""
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        # The policy must precede the scripts and styles.
-        f"{security_policy(script, style)}"
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>{style}</style></head><body>"
-        f"{body}<script>{script}</script></body></html>\n"
+    # The policy must precede the scripts and styles.
+    policy = security_policy(script, style)
+    return Template(read_markup("document.html") + "\n").substitute(
+        policy=policy, title=escape(title), style=style, body=body, script=script
     )
-
-
-def read_asset(name: str) -> str:
-    """The text of a file in `assets`."""
-    return (files("analysis.report.page") / "assets" / name).read_text(encoding="utf-8")
 
 
 def embedded_json(value: object) -> str:
@@ -100,13 +93,3 @@ def security_policy(script: str, style: str) -> str:
         f"style-src 'sha256-{hashes[1]}'; img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
     return f'<meta http-equiv="Content-Security-Policy" content="{policy}">'
-
-
-def _navigation(links: str) -> str:
-    return (
-        f'<nav aria-label="Sections"><div>{links}<span class="tools">'
-        '<label>time <select id="time-form"></select></label>'
-        '<label>marks <select id="mark-form"></select></label>'
-        '<button id="reset">entire flight</button></span></div>'
-        '<div class="readout" id="now"></div></nav>'
-    )

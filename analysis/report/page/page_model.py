@@ -181,7 +181,7 @@ def _image(image: Spectrogram, numbers: PackedNumbers) -> Model:
     level = np.clip((image.level_db - lowest) / RANGE_DB, 0, 1) * LEVELS
     rounded = np.where(np.isfinite(level), np.round(level), -1)
     return {
-        "title": image.title, "axis": image.axis, "start": image.start, "end": image.end,
+        "title": f"by {image.axis}", "axis": image.axis, "start": image.start, "end": image.end,
         "hz": image.highest_hz, "rows": len(level), "low": lowest, "high": highest,
         "y": numbers.add_values(rounded.ravel()),
     }  # fmt: skip

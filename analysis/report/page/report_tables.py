@@ -25,60 +25,77 @@ EFFECTS = {"position_m": "position, m", "speed_mps": "speed, m/s", "attitude_deg
 REASONS = 6  # shown under the verdict
 
 
+# Heads of columns, and the fields of the rows in a summary.
+FAULT_COLUMNS = {
+    "fault": "id", "target": "target", "from, s": "start_s", "to, s": "end_s", "frames": "frames",
+    "delay, s": "delay_s", "isolated": "isolated",
+}  # fmt: skip
+FALSE_COLUMNS = {
+    "channel": "channel", "outside faults": "outside", "inside faults": "inside",
+    "per hour": "per_hour", "isolated": "blamed", "for, s": "seconds",
+}  # fmt: skip
+REACTION_COLUMNS = {"t, s": "t_s", "after, s": "after_s", "reaction": "text"}
+MET = {True: PASS, False: FAIL, None: NONE}
+
+
 def run_facts(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """The key figures of a summary that it has."""
     rows, sim_s = summary.get("faults") or [], summary.get("sim_s")
     delays = [row["delay_s"] for row in rows if row["delay_s"] is not None]
-    false_alarms, position_m = summary.get("false_alarms"), summary.get("position_rmse_m")
+    false_alarms, attitude = summary.get("false_alarms"), summary.get("attitude_rmse_deg")
     per_hour = None if false_alarms is None or not sim_s else 3600 * false_alarms / sim_s
-    facts = {
-        "outcome": summary.get("outcome", {}).get("outcome"),
-        "faults detected": f"{sum(bool(r['detected']) for r in rows)} of {len(rows)}"
-        if rows
-        else None,
-        "longest detection delay": f"{max(delays):.2f} s" if delays else None,
-        "false alarms": false_alarms,
-        "false alarms per hour": None if per_hour is None else f"{per_hour:.1f}",
-        "GNSS epochs": summary.get("epochs"),
-        "epochs untestable": summary.get("untestable_epochs"),
-        "epochs unexplained": summary.get("unexplained_epochs") or None,
-        "attitude RMSE, worst axis": f"{summary['attitude_rmse_deg']['max']:.2f}°"
-        if summary.get("attitude_rmse_deg")
-        else None,
-        "position RMSE": None if position_m is None else f"{position_m:.2f} m",
-        "flight": f"{sim_s:.0f} s" if sim_s else None,
-    }
-    return [(name, str(value)) for name, value in facts.items() if value is not None]
+    facts = (
+        ("outcome", "{}", summary.get("outcome", {}).get("outcome")),
+        ("faults detected", f"{{}} of {len(rows)}",
+         sum(bool(row["detected"]) for row in rows) if rows else None),
+        ("longest detection delay", "{:.2f} s", max(delays, default=None)),
+        ("false alarms", "{}", false_alarms),
+        ("false alarms per hour", "{:.1f}", per_hour),
+        ("GNSS epochs", "{}", summary.get("epochs")),
+        ("epochs untestable", "{}", summary.get("untestable_epochs")),
+        ("epochs unexplained", "{}", summary.get("unexplained_epochs") or None),
+        ("attitude RMSE, worst axis", "{:.2f}°", attitude["max"] if attitude else None),
+        ("position RMSE", "{:.2f} m", summary.get("position_rmse_m")),
+        ("flight", "{:.0f} s", sim_s or None),
+    )  # fmt: skip
+    return [(name, form.format(value)) for name, form, value in facts if value is not None]
 
 
 def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
+    """Section and table of the faults, alarms, effects, criteria and scores of a summary."""
     tables = []
     if rows := summary.get("faults"):
-        head = (
-            "fault", "target", "from, s", "to, s", "frames", "delay, s", "isolated", "verdict",
-            "note",
-        )  # fmt: skip
-        keys = ("id", "target", "start_s", "end_s", "frames", "delay_s", "isolated")
+        head = (*FAULT_COLUMNS, "verdict", "note")
         cells: list[list[Cell]] = [
-            [*(_shown(row[key]) for key in keys), (row["verdict"], row["verdict"]), _remark(row)]
+            [*_cells(row, FAULT_COLUMNS), (row["verdict"], row["verdict"]), _remark(row)]
             for row in rows
         ]
         tables.append((TIMELINE, ReportTable("Injected against detected", head, cells)))
     if false := summary.get("false_by_channel"):
-        tables.append((TIMELINE, _false_table(false)))
+        note = "Alarms that no fault explains; inside a fault only those that isolated a sensor."
+        alarms = [_cells(row, FALSE_COLUMNS) for row in false]
+        tables.append((TIMELINE, ReportTable("False alarms", tuple(FALSE_COLUMNS), alarms, note)))
     if remarks := run_remarks(summary) if "untestable_reasons" in summary else []:
         tables.append((CHECKS, ReportTable("Remarks", ("kind", "what"), remarks)))
     if effects := summary.get("effects"):
         tables.append((FAULT_EFFECTS, _effect_table(effects)))
     if checks := summary.get("criteria"):
-        texts = {True: "PASS", False: "FAIL", None: "not judged"}
-        cells_ = [
-            (str(check["name"]), _limit(check["value"]), _limit(check["limit"]), (word, word))
-            for check in checks
-            if (word := texts[check["passed"]])
+        judged: list[list[Cell]] = [
+            [
+                str(row["name"]),
+                _limit(row["value"]),
+                _limit(row["limit"]),
+                (MET[row["passed"]],) * 2,
+            ]
+            for row in checks
         ]
-        head_ = ("criterion", "found", "limit", "verdict")
-        tables.append((CHECKS, ReportTable("Criteria", head_, cells_)))
+        limits = ("criterion", "found", "limit", "verdict")
+        tables.append((CHECKS, ReportTable("Criteria", limits, judged)))
     return tables + attitude_tables(summary)
+
+
+def _cells(row: Mapping[str, Any], columns: Mapping[str, str]) -> list[Cell]:
+    return [_shown(row[key]) for key in columns.values()]
 
 
 def _remark(row: Mapping[str, Any]) -> str:
@@ -104,14 +121,6 @@ def _effect_table(rows: Sequence[Mapping[str, Any]]) -> ReportTable:
         cells.append((str(row["id"]), *shown))
     note = "Against the fault-free reference flight, from a fault's start until its effects end."
     return ReportTable("Effects of the faults", head, cells, note)
-
-
-def _false_table(rows: Sequence[Mapping[str, Any]]) -> ReportTable:
-    head = ("channel", "outside faults", "inside faults", "per hour", "isolated", "for, s")
-    keys = ("channel", "outside", "inside", "per_hour", "blamed", "seconds")
-    cells = [tuple(_shown(row[key]) for key in keys) for row in rows]
-    note = "Alarms that no fault explains; inside a fault only those that isolated a sensor."
-    return ReportTable("False alarms", head, cells, note)
 
 
 def attitude_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
@@ -168,22 +177,20 @@ def _shown(value: object) -> str:
     )
 
 
-def matrix_table(labels: Sequence[Label], results: Sequence[Result]) -> ReportTable | None:
-    """Isolation matrix: decisions by injected fault, shaded by share of the row."""
-    heads, counts = isolation_matrix(labels, results)
-    if not heads:
-        return None
-    rows = [(name, *(str(count) if count else "" for count in row)) for name, row in counts.items()]
-    note = "GNSS epochs by injected fault (rows) and decision of the detector (columns)."
-    return ReportTable("Isolation matrix", ("injected", *heads), rows, note, style="matrix")
-
-
 def result_tables(
     labels: Sequence[Label], results: Sequence[Result], recording: FlightData
 ) -> list[tuple[str, ReportTable]]:
     """Tables of the monitor's isolations and of the fused solutions, as far as there are any."""
-    found = (DETECTION, matrix_table(labels, results)), (FUSION, fused_table(recording))
-    return [(section, table) for section, table in found if table is not None]
+    found = []
+    heads, counts = isolation_matrix(labels, results)
+    if heads:
+        rows = [(name, *(str(count or "") for count in row)) for name, row in counts.items()]
+        note = "GNSS epochs by injected fault (rows) and decision of the detector (columns)."
+        # Shaded by the share of the row.
+        matrix = ReportTable("Isolation matrix", ("injected", *heads), rows, note, style="matrix")
+        found.append((DETECTION, matrix))
+    fused = fused_table(recording)
+    return found if fused is None else [*found, (FUSION, fused)]
 
 
 def checks_tables(checks: Sequence[FlightCheck]) -> list[ReportTable]:
@@ -215,31 +222,27 @@ def check_reasons(checks: Sequence[FlightCheck]) -> list[tuple[str, str]]:
 def reaction_table(faults: Sequence[Mapping[str, Any]]) -> ReportTable | None:
     """The autopilot's reactions to each fault; None if they were not searched."""
     rows = [
-        (str(fault["id"]), *(_shown(reaction[key]) for key in ("t_s", "after_s", "text")))
+        [str(fault["id"]), *_cells(reaction, REACTION_COLUMNS)]
         for fault in faults
         for reaction in fault.get("reaction", ())
     ]
     # If reactions were searched and none was found, the table is empty.
     if not any("reaction" in fault for fault in faults):
         return None
-    head = ("fault", "t, s", "after, s", "reaction")
     # Limited, so that many messages do not hide the rest of the section.
-    return ReportTable("The autopilot's reactions to injected faults", head, rows[:60])
+    title = "The autopilot's reactions to injected faults"
+    return ReportTable(title, ("fault", *REACTION_COLUMNS), rows[:60])
 
 
 def links_table(recording: FlightData) -> ReportTable:
     """Frames and losses of each sender."""
     rows = [
         (
-            link.log,
-            f"{link.system}/{link.component}",
-            str(link.frames),
-            str(link.lost),
-            f"{100 * link.lost / (link.frames + link.lost):.2f}",
-            f"{link.longest_gap_s:.2f}",
+            link.log, f"{link.system}/{link.component}", str(link.frames), str(link.lost),
+            f"{100 * link.lost / (link.frames + link.lost):.2f}", f"{link.longest_gap_s:.2f}",
         )
         for link in recording.links
-    ]
+    ]  # fmt: skip
     head = ("log", "sender", "frames", "missing", "%", "longest gap, s")
     note = "Missing frames are counted by gaps in each sender's sequence numbers (modulo 256)."
     return ReportTable("Senders", head, rows, note)
@@ -253,26 +256,27 @@ def _differs(value: float, default: float) -> bool:
 
 def parameters_table(recording: FlightData) -> list[ReportTable]:
     """Parameters that changed, those not at their default, and all parameters (folded)."""
+    tables, last = [], {n: h[-1][1] for n, h in sorted(recording.parameters.items())}
     changed = [
         (name, f"{t_s:.2f}", f"{before:.7g}", f"{value:.7g}")
         for name, history in recording.parameters.items()
         # The first entry of a history is the initial value.
         for (_, before), (t_s, value) in itertools.pairwise(history)
     ]
-    every = [(name, f"{h[-1][1]:.7g}") for name, h in sorted(recording.parameters.items())]
-    title = f"All parameters ({len(every)})"
-    tables = [ReportTable(title, ("parameter", "value"), every, folded=True)]
+    if changed:
+        moves = ("parameter", "t, s", "before", "after")
+        tables.append(ReportTable("Parameters changed", moves, changed[:200]))
+    defaults = recording.defaults
     unusual = [
-        (name, f"{history[-1][1]:.7g}", f"{recording.defaults[name]:.7g}")
-        for name, history in sorted(recording.parameters.items())
-        if name in recording.defaults and _differs(history[-1][1], recording.defaults[name])
+        (name, f"{value:.7g}", f"{defaults[name]:.7g}")
+        for name, value in last.items()
+        if name in defaults and _differs(value, defaults[name])
     ]
     if unusual:
         title = f"Parameters that are not at their default ({len(unusual)})"
         head = ("parameter", "value", "default")
         # Folded if longer than a screen.
-        tables.insert(0, ReportTable(title, head, unusual, folded=len(unusual) > 40))
-    if changed:
-        moves = ("parameter", "t, s", "before", "after")
-        tables.insert(0, ReportTable("Parameters changed", moves, changed[:200]))
-    return tables
+        tables.append(ReportTable(title, head, unusual, folded=len(unusual) > 40))
+    every = [(name, f"{value:.7g}") for name, value in last.items()]
+    title = f"All parameters ({len(every)})"
+    return [*tables, ReportTable(title, ("parameter", "value"), every, folded=True)]

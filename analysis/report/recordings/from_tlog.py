@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from analysis.field_maps.field_map import TLOG
 from analysis.recordings.flight_logs.log_stamps import (
     GROUND_STATION,
-    NO_AUTOPILOT,
     WALL_US,
+    autopilot_beats,
     autopilot_component,
 )
 from analysis.recordings.flight_logs.message_clock import LogClock, clock_of
@@ -76,14 +76,9 @@ def recording_of_tlog(
 ) -> FlightData:
     """Convert the messages of all vehicles in a log to the data of a report.
 
-    Parameters
-    ----------
-    columns : dict of structured arrays
-        As `mavproxy_fault.wire.tlog.read_columns` gives them (several logs: `merge_logs`).
-    t0_us : int, optional
-        Vehicle time of zero on the axis (a label's `t0_us`); the start by default.
-    links : dict of structured arrays (k,), optional
-        Link statistics by log name (rows of `link_quality.sum_stretches`).
+    `columns` are as `mavproxy_fault.wire.tlog.read_columns` gives them (several logs:
+    `merge_logs`); `t0_us` is the vehicle time of zero on the axis (a label's `t0_us`), the start by
+    default; `links` are rows of `link_quality.sum_stretches` (k,) by log name.
     """
     systems = vehicle_systems(columns)
     found = FlightData(name)
@@ -109,14 +104,13 @@ def recording_of_tlog(
     found.links.extend(quality)
     found.signals.extend(losses)
     # The first vehicle determines the autopilot.
-    autopilot = {PX4: "px4", ARDUPILOT: "ardupilot"}.get(vehicles[0].autopilot, "")
-    ends = [signal.t_s[-1] for signal in found.signals if len(signal.t_s)]
+    first = vehicles[0]
     found.events.sort(key=lambda event: event.t_s)
-    flight = FlightData(
-        name, autopilot, int(vehicles[0].clock.t0_us), max(ends, default=0.0),
-        found.signals, found.spans, found.events, found.tracks, found.links, found.parameters,
-        found.notes, tuple(systems), utc0_us=_utc0_us(columns, vehicles[0].clock),
-        messages=found.messages, vehicle=vehicles[0].kind,
+    flight = replace(
+        found, autopilot={PX4: "px4", ARDUPILOT: "ardupilot"}.get(first.autopilot, ""),
+        t0_us=int(first.clock.t0_us), systems=tuple(systems), vehicle=first.kind,
+        duration_s=max((s.t_s[-1] for s in found.signals if len(s.t_s)), default=0.0),
+        utc0_us=_utc0_us(columns, first.clock),
     )  # fmt: skip
     return replace(flight, identity=identity_by_messages(flight))
 
@@ -166,26 +160,23 @@ def vehicle_systems(columns: Columns) -> list[int]:
         systems.update(np.unique(columns[message]["system"]).tolist())
     if "HEARTBEAT" in columns:
         beats = columns["HEARTBEAT"]
-        stations = set(np.unique(beats["system"][beats["type"] == GROUND_STATION]).tolist())
-        flying = set(np.unique(beats["system"][beats["type"] != GROUND_STATION]).tolist())
+        station = beats["type"] == GROUND_STATION
+        flying = set(beats["system"][~station].tolist())
         # A system that also sends a vehicle's heartbeat is kept.
-        systems -= stations - flying
+        systems -= set(beats["system"][station].tolist()) - flying
         # Systems without a heartbeat, such as telemetry radios.
-        radios = {s for s in systems if s not in flying}
-        systems -= radios if flying & systems else set()
+        systems &= flying if flying & systems else systems
     return sorted(systems)
 
 
 def _kind(columns: Columns) -> tuple[int, str]:
     """Autopilot and class of the vehicle from the autopilot's heartbeats."""
-    beats = columns.get("HEARTBEAT")
-    if beats is None:
-        return 0, ""
-    beats = beats[(beats["type"] != GROUND_STATION) & (beats["autopilot"] != NO_AUTOPILOT)]
+    beats = autopilot_beats(columns)
     # The last heartbeat, as the type may be known late.
-    if not len(beats):
-        return 0, ""
-    return int(beats["autopilot"][-1]), CLASSES.get(int(beats["type"][-1]), "")
+    return next(
+        ((int(beat["autopilot"]), CLASSES.get(int(beat["type"]), "")) for beat in beats[-1:]),
+        (0, ""),
+    )
 
 
 def _add_vehicle(found: FlightData, vehicle: _Vehicle) -> None:
@@ -258,22 +249,19 @@ def _add_local_track(found: FlightData, vehicle: _Vehicle, message: Message | No
 
 
 def _add_modes(found: FlightData, vehicle: _Vehicle) -> None:
-    beats = vehicle.columns.get("HEARTBEAT")
-    if beats is None:
+    beats = autopilot_beats(vehicle.columns)
+    if not len(beats):
         return
-    beats = beats[(beats["type"] != GROUND_STATION) & (beats["autopilot"] != NO_AUTOPILOT)]
-    if len(beats) == 0:
-        return
-    t_s = vehicle.clock.seconds(beats)
-    names = [
-        mode_name(vehicle.autopilot, vehicle.kind, mode) for mode in beats["custom_mode"].tolist()
-    ]
-    armed = ["armed" if mode & ARMED else "disarmed" for mode in beats["base_mode"].tolist()]
+    kind = vehicle.autopilot, vehicle.kind
     # Only CRITICAL and EMERGENCY have a name; other states make no span.
-    states = [CRITICAL.get(state, "") for state in beats["system_status"].tolist()]
-    found.spans.extend(value_spans("mode" + vehicle.suffix, t_s, names))
-    found.spans.extend(value_spans("armed" + vehicle.suffix, t_s, armed))
-    found.spans.extend(value_spans("system status" + vehicle.suffix, t_s, states, "fail"))
+    lanes = (
+        ("mode", [mode_name(*kind, mode) for mode in beats["custom_mode"].tolist()], "mode"),
+        ("armed", np.where(beats["base_mode"] & ARMED, "armed", "disarmed"), "mode"),
+        ("system status", [CRITICAL.get(n, "") for n in beats["system_status"].tolist()], "fail"),
+    )
+    for lane, words, shown in lanes:
+        t_s = vehicle.clock.seconds(beats)
+        found.spans.extend(value_spans(lane + vehicle.suffix, t_s, words, shown))
 
 
 def _add_texts(found: FlightData, vehicle: _Vehicle) -> None:
@@ -290,37 +278,30 @@ def _add_texts(found: FlightData, vehicle: _Vehicle) -> None:
     old = vehicle.autopilot == ARDUPILOT and has_old_severities(own)
     for t_s, by, severity, text in spoken:
         others = component >= 0 and by != component
-        who = f" (component {by})" if others else ""
-        event = Event(
-            t_s,
-            # What a companion or a gimbal says is shown, and judges no flight.
-            "note" if others else "text",
-            text + who + vehicle.suffix,
-            OLD_SEVERITIES.get(severity, severity) if old and not others else severity,
-        )
-        found.events.append(event)
+        said = text + (f" (component {by})" if others else "") + vehicle.suffix
+        graded = OLD_SEVERITIES.get(severity, severity) if old and not others else severity
+        # What a companion or a gimbal says is shown, and judges no flight.
+        found.events.append(Event(t_s, "note" if others else "text", said, graded))
 
 
 def _joined_texts(
     t_s: Sequence[float], rows: NDArray[np.void]
 ) -> Iterator[tuple[float, NDArray[np.void], str]]:
     """Time, row and text of each message; the chunks of a long text (same id) are one text."""
-    names = rows.dtype.names or ()
-    chunked = "chunk_seq" in names and "id" in names
-    started: dict[tuple[int, ...], int] = {}
-    texts: list[tuple[float, NDArray[np.void], bytes]] = []
+    chunked = {"chunk_seq", "id"} <= set(rows.dtype.names or ())
+    begun: dict[tuple[int, ...], list[bytes]] = {}
+    texts: list[tuple[float, NDArray[np.void], list[bytes]]] = []
     for at_s, row in zip(t_s, rows, strict=True):
         part = bytes(row["text"]).split(b"\0", 1)[0]
         key = (int(row["system"]), int(row["component"]), int(row["id"]) if chunked else 0)
         # An id of zero means a text of one chunk.
-        if key[2] and row["chunk_seq"] and key in started:
-            begun = texts[started[key]]
-            texts[started[key]] = begun[0], begun[1], begun[2] + part
+        if key[2] and row["chunk_seq"] and key in begun:
+            begun[key].append(part)
             continue
-        started[key] = len(texts)
-        texts.append((at_s, row, part))
-    for at_s, row, text in texts:
-        yield at_s, row, text.decode("utf-8", "replace").strip()
+        begun[key] = [part]
+        texts.append((at_s, row, begun[key]))
+    for at_s, row, parts in texts:
+        yield at_s, row, b"".join(parts).decode("utf-8", "replace").strip()
 
 
 def _add_parameters(found: FlightData, vehicle: _Vehicle) -> None:

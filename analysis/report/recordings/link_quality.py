@@ -1,7 +1,6 @@
 """Link quality: frames lost, from each sender's sequence numbers (modulo 256), and gaps in time."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +15,7 @@ INTEGERS = ("t_us", "frames", "lost", "gap_us", "gap_at_us")
 STRETCHES = np.dtype([("sender", "<i4"), *((name, "<i8") for name in INTEGERS)])
 
 
-@dataclass(frozen=True, slots=True)
-class LastFrame:
-    """The last frame of a sender."""
-
-    seq: int
-    t_us: int
+LastFrame = tuple[int, int]  # sequence number and timestamp
 
 
 def sum_stretches(
@@ -31,22 +25,11 @@ def sum_stretches(
 ) -> NDArray[np.void]:
     """Count frames, losses and gaps of each sender in short periods of a log or a block of it.
 
-    Parameters
-    ----------
-    frames : structured array, shape (n,)
-        As `mavproxy_fault.wire.tlog.Log.frames`.
-    last : dict
-        The last frame of each sender (system * 256 + component) in the blocks before; updated in
-        place.
-    restarts_us : sequence of (last_us, first_us)
-        Timestamps of the last frame before a restart of the vehicle, which numbers frames anew, and
-        of the first one behind it.
-
-    Returns
-    -------
-    structured array
-        Per period the sender, the timestamp of its first frame, frames, lost frames, the longest
-        time between two frames and its beginning.
+    `frames` (n,) are as `mavproxy_fault.wire.tlog.Log.frames`. `last` has the last frame of each
+    sender (system * 256 + component) in the blocks before, and is updated. `restarts_us` are the
+    timestamps of the last frame before a restart of the vehicle, which numbers frames anew, and of
+    the first one behind it. A row of the result has the sender of a period, the timestamp of its
+    first frame, frames, lost frames, the longest time between two frames and its beginning.
     """
     found = [np.empty(0, STRETCHES)]
     # System and component in one number, for grouping.
@@ -54,9 +37,9 @@ def sum_stretches(
     for key in np.unique(sender).tolist():
         rows = frames[sender == key]
         # No loss before a sender's first frame.
-        before = last.get(key, LastFrame((int(rows["seq"][0]) - 1) % 256, int(rows["t_us"][0])))
+        seq, t_us = last.get(key, ((int(rows["seq"][0]) - 1) % 256, int(rows["t_us"][0])))
         # Modulo 256, in a wider type.
-        steps = np.diff(rows["seq"].astype(np.int16), prepend=np.int16(before.seq)) % 256
+        steps = np.diff(rows["seq"].astype(np.int16), prepend=np.int16(seq)) % 256
         for last_us, first_us in restarts_us:
             steps[(rows["t_us"] > last_us) & (rows["t_us"] <= first_us)] = 1
         # A limited number of periods, none too short for a loss rate.
@@ -66,12 +49,12 @@ def sum_stretches(
         some["t_us"] = rows["t_us"][starts]
         some["frames"] = np.diff(starts, append=len(rows))
         some["lost"] = np.add.reduceat(np.maximum(steps - 1, 0).astype(np.int64), starts)
-        gaps = np.diff(rows["t_us"], prepend=before.t_us)
+        gaps = np.diff(rows["t_us"], prepend=t_us)
         parts = zip(starts.tolist(), np.split(gaps, starts[1:]), strict=True)
         longest = [begin + int(part.argmax()) for begin, part in parts]
         some["gap_us"] = gaps[longest]
         some["gap_at_us"] = rows["t_us"][longest] - gaps[longest]
-        last[key] = LastFrame(int(rows["seq"][-1]), int(rows["t_us"][-1]))
+        last[key] = int(rows["seq"][-1]), int(rows["t_us"][-1])
         found.append(some)
     return np.concatenate(found)
 
@@ -83,13 +66,8 @@ def link_quality(
 ) -> tuple[list[LinkQuality], list[Signal]]:
     """Losses and silences of every sender, and curves of the losses.
 
-    Parameters
-    ----------
-    logs : dict of structured arrays (k,)
-        Rows of `sum_stretches` by log name.
-    clock : LogClock
-    armed : sequence of (start_s, end_s), optional
-        Only silences within these windows count; all if there is none.
+    `logs` are rows (k,) of `sum_stretches` by log name. Only silences within the windows `armed`
+    count; all if there is none.
     """
     links, signals = [], []
     for log, every in logs.items():

@@ -17,17 +17,8 @@ POINTER = b"version https://git-lfs.github.com/spec/"  # beginning of a Git LFS 
 def log_files(paths: Sequence[Path], folder: Path) -> tuple[list[Path], list[str]]:
     """The readable files and folders, and an error message for each other path.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Paths from the command line.
-    folder : Path
-        Where compressed logs are unpacked, under their names without the suffix.
-
-    Raises
-    ------
-    ConfigError
-        If the only path cannot be read.
+    Compressed logs are unpacked to `folder`, under their names without the suffix. If the only
+    path cannot be read, ConfigError is raised.
     """
     found, messages = [], []
     for path in paths:

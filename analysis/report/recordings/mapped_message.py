@@ -18,18 +18,17 @@ from analysis.field_maps.field_map import (
     values_of,
 )
 from analysis.report.curves.recording import (
-    REJECTED_S,
     Event,
     FlightData,
     GroundTrack,
     Message,
     Signal,
     Span,
-    active_spans,
     flag_events,
     value_spans,
 )
 
+REJECTED_S = 1.0  # chosen: single measurements are rejected in nominal flights too
 GATE = "gate"  # names of gates begin with this; they have a curve below zero too
 # Beginning and severity of the events of some lanes.
 SAID = {"mode": ("mode ", 6), "estimator in use": ("estimator: ", 4)}
@@ -75,7 +74,7 @@ def add_flag(
     # A failed GPS quality check is a warning: the estimator continues without GPS.
     shown = "warn" if kind == "warn" else "flag"
     least_s = REJECTED_S if kind == "rejected" else 0.0
-    spans = active_spans(lane, message.t_s, raised, text, shown, least_s)
+    spans = value_spans(lane, message.t_s, np.where(raised, text, ""), shown, least_s)
     found.spans.extend(spans)
     found.events.extend(flag_events(spans, float(message.t_s[-1])))
 
