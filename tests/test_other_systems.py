@@ -70,7 +70,7 @@ PYTEST = """
 import pytest
 code = pytest.main(sys.argv[1:])
 from mavproxy_fault.links import datagrams
-assert not datagrams.HAS_RECVMMSG
+assert not datagrams.IS_LINUX
 sys.exit(code)
 """
 

@@ -159,10 +159,8 @@ class Server:
             next_ns = min(next_ns, time.monotonic_ns() + BATCH_NS)
         # Precise waits for due frames only.
         forwarder.forward(min(next_ns, due_ns), spin=self._busy_poll, precise=due_ns < next_ns)
-        if sends := forwarder.take_sends():
-            self._send_all(sends, hold=forwarder.pending)
-        if not forwarder.pending:
-            self._send_held()
+        if (sends := forwarder.take_sends()) or self._held_ns:
+            self._send_all(sends, hold=forwarder.has_more)
         for number in forwarder.ready():
             self._serve(number)
         if self.live is not None and forwarder.wakes_ready:
@@ -170,7 +168,7 @@ class Server:
 
     def prepare(self) -> None:
         """Load the compiled kernels; at first use, compile them in another process."""
-        if not datagrams.HAS_RECVMMSG:
+        if not datagrams.IS_LINUX:
             return
         try:
             from mavproxy_fault.compiled import object_file as kernels
@@ -199,8 +197,7 @@ class Server:
             live.edit_log.note(JOIN, b"", self.edit_time())
         join_live_control(self.core, live.control)
         gc.freeze()  # excludes loaded modules from later collections, which delay frames
-        # Not while the forwarder holds received frames.
-        if self._forwarder is not None and not self._forwarder.pending:
+        if self._forwarder is not None:
             self._forwarder.count()
             self.use_compiled()
 
@@ -299,11 +296,9 @@ class Server:
             # The core may run early, since its output depends on the due time only.
             sends = self.core.due(max(due_us, now_us))
             due_ns = due_us * 1000 - self._base_ns
-            # The forwarder waits to the microsecond; without it this thread spins.
-            if self._forwarder is None or not sends or not self._forwarder.send_at(due_ns, sends):
-                while time.monotonic_ns() < due_ns:
-                    pass
-                self._send_all(sends)
+            while time.monotonic_ns() < due_ns:
+                pass
+            self._send_all(sends)
         now_s = time.monotonic()
         if now_s >= self._maintain_s:
             self._maintain_s = now_s + RECONNECT_S

@@ -25,8 +25,6 @@ from mavproxy_fault.wire.signing import SETUP_SIGNING, Signing
 if TYPE_CHECKING:
     from mavproxy_fault.compiled.plans import Plans
 
-# What a lent chunk interrupts: entries of `loop`
-INTERRUPTED = (k.LINK, k.AT, k.COUNT, k.ROW_AT, k.CAME)
 HELD = struct.Struct("<qqq")  # due time, links and length of a delayed frame
 
 
@@ -55,12 +53,9 @@ class CompiledCore:
         self._plans: Plans | None = None
         self.loop[k.KEEP], self.loop[k.WANTED_AT] = tape is not None, UNKNOWN
         self.loop[k.LINK_COUNT], self.loop[k.POLLS] = len(core.links), descriptors
-        self.loop[k.TIME_AT] = k.address(self.loop) + 8 * k.SECONDS
         self.loop[k.SIGNING] = k.KEYED * bool(key) | k.STRIPPED * signing.strip
         for number, role in enumerate(core.links):
             self.ports[number, k.FROM_VEHICLE] = role.direction == "from-vehicle"
-        self._rows = len(core.links)  # the rows after the links' are for lent chunks
-        self._interrupted = [self.loop[place] for place in INTERRUPTED]
         self._core_ran = True  # since the rows of faults were last compared with the entries
         self._sends: list[Send] = []  # announcements, to be sent before anything else
         self._seen: tuple[Any, ...] = ()
@@ -155,7 +150,7 @@ class CompiledCore:
         return sends + self.finish(link, data, now_us, stream=stream)
 
     def finish(self, link: int, data: bytes, now_us: int, *, stream: int = 0) -> list[Send]:
-        """Return what leaves of a lent chunk that machine code has begun with."""
+        """Return what leaves of a chunk that machine code has begun with."""
         sends: list[Send] = []
         at = 0
         while True:
@@ -181,32 +176,26 @@ class CompiledCore:
 
     def _lend(self, link: int, data: bytes, now_us: int) -> None:
         """Pass a chunk in machine code, as far as that goes."""
-        loop, start, length = self.loop, self._rows * k.BATCH * k.ROW, min(len(data), k.ROW)
-        self.shared.data[start : start + length] = data[:length]
+        loop, length = self.loop, min(len(data), k.ROW)
+        self.shared.data[:length] = data[:length]
         self._refresh()
-        self._interrupted = [loop[place] for place in INTERRUPTED]
         loop[k.LENT], loop[k.LINK], loop[k.CAME] = length, link, now_us * 1000 - loop[k.BASE]
         self._forward(self._addresses)
 
     def _collect(self, now_us: int) -> tuple[list[Send], int, int]:
-        """Return what leaves of a lent chunk, how many bytes passed, and what ended it."""
-        loop = self.loop
-        passed, found = loop[k.ROW_AT], loop[k.FOUND]
-        for place, value in zip(INTERRUPTED, self._interrupted, strict=True):
-            loop[place] = value
-        sends = self._segments(self._rows, -1, now_us)
-        loop[k.SEGMENT] = loop[k.OTHERS] = 0
+        """Return what leaves of a chunk, how many bytes passed, and what ended it."""
+        passed, found = self.loop[k.ROW_AT], self.loop[k.FOUND]
+        sends = self._segments(-1, now_us)
         self._settle(now_us, plain=found == k.DONE)
         return sends + self.take_sends(), passed, found
 
-    def _segments(self, rows: int, links: int, now_us: int) -> list[Send]:
-        """What leaves of some rows for some links, a bit mask."""
-        found, at = [], rows * k.BATCH * k.ROW
-        masks, parts = self.shared.masks, self.shared.parts
+    def _segments(self, links: int, now_us: int) -> list[Send]:
+        """What leaves of a chunk on some links, a bit mask."""
+        found, at, segments = [], 0, self.shared.segments
         for segment in range(self.loop[k.SEGMENT]):
-            length = parts[rows, segment, k.DATA_LENGTH]
+            length = segments[segment, k.BYTES_OUT]
             data = bytes(self.shared.outs[at : at + length])
-            found += self._core.to_links(masks[rows, segment] & links, data, now_us)
+            found += self._core.to_links(segments[segment, k.LINKS] & links, data, now_us)
             at += length
         return found
 

@@ -1,17 +1,17 @@
 """Runs the compiled form on sockets: gives it the links and collects its counters."""
 
+import select
 import socket
 import time
 from collections.abc import Sequence
 from typing import Any
 
 from mavproxy_fault.compiled import layout as k
-from mavproxy_fault.compiled.compiled_core import CompiledCore, frame_length
+from mavproxy_fault.compiled.compiled_core import CompiledCore
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
-from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.proxy.statistics import LatencyHistogram
 
 POLLIN = 1
@@ -36,36 +36,13 @@ class Forwarder(CompiledCore):
         self._links = links
         self._latencies = latencies
         self.polls = self.shared.polls
-        self._read_parts = k.table("q", len(links) + 1, k.BATCH, 2)
         self._known_peers: list[list[Any]] = [[] for _ in links]
         for n, descriptor in enumerate(descriptors):
             self.polls[n] = descriptor | POLLIN << 32
-        self.loop[k.BASE] = base_ns
-        self._point()
-
-    def _point(self) -> None:
-        """Let the headers of both kinds of system call point to the rows of data."""
-        shared, loop = self.shared, self.loop
-        for place, array in (
-            (k.POLLS_AT, shared.polls), (k.PEERS_AT, shared.peers), (k.HEADS_AT, shared.heads),
-            (k.HEADERS_AT, shared.headers),
-        ):  # fmt: skip
-            loop[place] = k.address(array)
-        rows, names, heads = k.address(shared.data), k.address(shared.names), shared.heads
-        for number in range(len(self._links) + 1):
-            for at in range(k.BATCH):
-                row = number * k.BATCH + at
-                for parts, headers in (
-                    (self._read_parts, heads),
-                    (shared.parts, shared.headers),
-                ):
-                    parts[number, at, k.DATA_AT] = rows + k.ROW * row
-                    parts[number, at, k.DATA_LENGTH] = k.ROW
-                    headers[number, at, k.PARTS_AT] = k.address(parts) + 16 * row
-                    headers[number, at, k.PART_COUNT] = 1
-                heads[number, at, k.NAME_AT] = names + k.NAME * row
-                heads[number, at, k.NAME_LENGTH] = k.NAME
-        for number, link in enumerate(self._links):
+        loop, own = self.loop, k.address(self.loop)
+        loop[k.BASE], loop[k.POLLS_AT] = base_ns, k.address(self.polls)
+        loop[k.TIME_AT], loop[k.NAME_LENGTH_AT] = own + 8 * k.SECONDS, own + 8 * k.NAME_LENGTH
+        for number, link in enumerate(links):
             self._describe_port(number, link)
             loop[k.COMPILED_LINKS] |= self.ports[number, k.COMPILED] << number
 
@@ -87,72 +64,43 @@ class Forwarder(CompiledCore):
         self._refresh()
         loop = self.loop
         loop[k.DEADLINE], loop[k.SPIN], loop[k.PRECISE] = deadline_ns, spin, precise
-        if self.pending:  # delayed frames may have been sent while it waited within its batch
-            last_due_ns = self._core.last_due_us * 1000 - loop[k.BASE]
-            loop[k.CAME] = max(loop[k.CAME], last_due_ns)
         reason = self._forward(self._addresses)
         now_us = (loop[k.BASE] + loop[k.CAME]) // 1000
-        if loop[k.OTHERS]:
-            others = loop[k.OTHERS]
-            self._sends += self._segments(loop[k.LINK], others, now_us)
-            loop[k.OTHERS] = 0
-        self._settle(now_us, plain=reason == k.OTHER_READY)
         if reason == k.HANDED_OVER:
             self._take_over(now_us)
+            return reason
+        if reason == k.TO_SETTLE:
+            self._sends += self._segments(loop[k.OTHERS], now_us)
+        self._settle(now_us, plain=reason != k.TIME_IS_UP)
         return reason
-
-    def send_at(self, due_ns: int, sends: Sequence[Send]) -> bool:
-        """Wait for a time of the monotonic clock, and send at once; False if not all can go so."""
-        rows = len(self._links)
-        if len(sends) > k.BATCH or not all(self.serves(send.link) for send in sends):
-            return False
-        for at, send in enumerate(sends):
-            start = (rows * k.BATCH + at) * k.ROW
-            self.shared.data[start : start + len(send.data)] = send.data
-            part = rows, at
-            self.shared.parts[*part, k.DATA_AT] = k.address(self.shared.data) + start
-            self.shared.parts[*part, k.DATA_LENGTH] = len(send.data)
-            self.shared.heads[*part, k.LENGTH] = send.link
-        self._refresh()
-        self.loop[k.DUE_COUNT], self.loop[k.DUE_AT] = len(sends), due_ns
-        self._forward(self._addresses)
-        return True
 
     def serves(self, number: int) -> bool:
         """Whether a link goes this way."""
         return bool(self.ports[number, k.COMPILED])
 
-    @property
-    def pending(self) -> bool:
-        """Whether received datagrams still wait in the rows."""
-        return bool(self.loop[k.AT] < self.loop[k.COUNT])
-
     def _take_over(self, now_us: int) -> None:
-        """Let the core take the frame, or rest of a datagram, at which the machine code stopped.
+        """Finish a datagram that machine code has stopped in, with the core.
 
         Its sender becomes a peer, unless it may not speak.
         """
-        loop = self.loop
-        number, at, begin = int(loop[k.LINK]), int(loop[k.AT]), int(loop[k.ROW_AT])
-        row = number * k.BATCH + at
-        length = self.shared.heads[number, at, k.LENGTH] & 0xFFFFFFFF
-        data = bytes(self.shared.data[row * k.ROW + begin : row * k.ROW + length])
-        if loop[k.FOUND] == k.FRAME:
-            data = data[: frame_length(data, 0)]
-        loop[k.ROW_AT] = begin + len(data)
-        if loop[k.ROW_AT] >= length:
-            loop[k.AT], loop[k.ROW_AT] = at + 1, 0
+        number = int(self.loop[k.LINK])
+        data = bytes(self.shared.data[: self.loop[k.LENGTH]])
         link = self._links[number]
         if isinstance(link, UdpServer):
-            start = row * k.NAME
-            name = self.shared.names[start : start + self.ports[number, k.NAME_SIZE]]
+            name = self.shared.name[: self.ports[number, k.NAME_SIZE]]
             if not link.register(bytes(name), data):
                 link.counters.refused += 1
-                loop[k.AT], loop[k.ROW_AT] = at + 1, 0
                 return
+        came_ns = self.loop[k.CAME]
         if data:
-            self._sends += self._give(number, data, now_us, begun=begin > 0)
-            self._latencies[number].add(time.monotonic_ns() - loop[k.CAME])
+            sends = self.finish(number, data, now_us)
+            self._sends += sends
+            self._latencies[number].add(time.monotonic_ns() - came_ns)
+
+    @property
+    def has_more(self) -> bool:
+        """Whether the link of the newest datagram has received another one."""
+        return bool(select.select([self.ports[self.loop[k.LINK], k.FD]], (), (), 0)[0])
 
     @property
     def wakes_ready(self) -> bool:
@@ -186,7 +134,7 @@ class Forwarder(CompiledCore):
         super().count()
         ports, heard = self.ports, self.shared.heard
         for number, link in enumerate(self._links):
-            if not any(ports[number, column] for column in range(k.DATAGRAMS, k.LONE)):
+            if not any(ports[number, column] for column in range(k.DATAGRAMS, k.NAME_SIZE)):
                 continue
             counters = link.counters
             counters.chunks_in += ports[number, k.DATAGRAMS]
@@ -195,7 +143,7 @@ class Forwarder(CompiledCore):
             counters.bytes_out += ports[number, k.BYTES_SENT]
             counters.drops += ports[number, k.DROPS]
             counters.errors += ports[number, k.ERRORS]
-            for column in range(k.DATAGRAMS, k.LONE):
+            for column in range(k.DATAGRAMS, k.NAME_SIZE):
                 ports[number, column] = 0
             for step in range(k.LATENCY_STEPS):
                 if count := self.shared.histogram[number, step]:

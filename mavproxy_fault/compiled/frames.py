@@ -1,8 +1,8 @@
 """The compiled form's frames: verified, timed, counted, changed, routed and recorded one by one.
 
-`pass_datagram` takes the frames of a datagram (or of a chunk of a stream) from `ROW_AT` on, and
-appends what leaves to the segments of the link that it came on. It stops at a frame that needs the
-interpreter, with everything as it was before that frame. Importing this file imports numba.
+`pass_chunk` takes the frames of a datagram (or of a chunk of a stream), and appends what leaves to
+the outgoing segments. It stops at a frame that needs the interpreter, with everything as it was
+before that frame. Importing this file imports numba.
 """
 
 import numpy as np
@@ -127,27 +127,22 @@ def _record_received(link: int, now_us: int, at: int, length: int, shared: Share
 
 
 @kernel
-def _send(
-    source: k.Octets, at: int, length: int, rows: int, mask: int, now_us: int, shared: Shared
-) -> None:
+def _send(source: k.Octets, at: int, length: int, mask: int, now_us: int, shared: Shared) -> None:
     """Append a frame to the outgoing segment for its links, and record it."""
-    loop, parts = shared.loop, shared.parts
-    segment = loop[k.SEGMENT] - 1
+    loop, segments, segment = shared.loop, shared.segments, shared.loop[k.SEGMENT] - 1
     if (
-        not loop[k.OPEN]
-        or shared.masks[rows, segment] != mask
-        or parts[rows, segment, k.DATA_LENGTH] + length > k.LONGEST
+        segment < 0
+        or segments[segment, k.LINKS] != mask
+        or segments[segment, k.BYTES_OUT] + length > k.LONGEST
     ):
         segment += 1
-        loop[k.SEGMENT], loop[k.OPEN] = segment + 1, 1
-        shared.masks[rows, segment] = mask
-        parts[rows, segment, k.DATA_AT] = shared.outs.ctypes.data + loop[k.OUT_AT]
-        parts[rows, segment, k.DATA_LENGTH] = 0
+        loop[k.SEGMENT] = segment + 1
+        segments[segment, k.LINKS], segments[segment, k.BYTES_OUT] = mask, 0
     out = loop[k.OUT_AT]
     for n in range(length):
         shared.outs[out + n] = source[at + n]
     loop[k.OUT_AT] += length
-    parts[rows, segment, k.DATA_LENGTH] += length
+    segments[segment, k.BYTES_OUT] += length
     if loop[k.KEEP]:
         _record(shared.sent, k.SENT_AT, now_us, source, at, length, shared)
 
@@ -175,8 +170,8 @@ def _is_full(shared: Shared) -> bool:
     """Whether there may be no room for what one frame becomes."""
     loop, most = shared.loop, k.MOST_WORK * (k.SLOT + k.HELD_HEAD)
     return bool(
-        loop[k.SEGMENT] > k.BATCH - 2
-        or loop[k.OUT_AT] + most > loop[k.OUT_END]
+        loop[k.SEGMENT] > k.SEGMENTS - 2
+        or loop[k.OUT_AT] + most > k.OUT_SIZE
         or loop[k.HELD_AT] + most > k.HELD_SIZE
         or (loop[k.KEEP] and max(loop[k.RECEIVED_AT], loop[k.SENT_AT]) + most > k.LOG_SIZE)
     )
@@ -184,7 +179,7 @@ def _is_full(shared: Shared) -> bool:
 
 @kernel
 def _pass_frame(
-    at: int, head: int, number: int, stop: int, link: int, rows: int, now_us: int, shared: Shared
+    at: int, head: int, number: int, stop: int, link: int, now_us: int, shared: Shared
 ) -> int:
     """Pass a frame; DONE or NEWS, FRAME or REST if the core has to take it."""
     loop, data, senders, ports = shared.loop, shared.data, shared.senders, shared.ports
@@ -221,7 +216,7 @@ def _pass_frame(
         loop[k.WANTED_AT], loop[k.WANTED_LINK_AT] = t_us, senders[cells.LINK_TIME]
     if entry[k.KIND] != k.PLANNED:
         if mask:
-            _send(data, at, stop - at, rows, mask, now_us, shared)
+            _send(data, at, stop - at, mask, now_us, shared)
         return k.DONE
     count, changed = apply_chain(at, head, stop - at, number, link, t_us, shared)
     left, same = 0, True
@@ -238,7 +233,7 @@ def _pass_frame(
             _hold(item, mask, now_us, shared)
         else:
             length = shared.items[item, k.LENGTH_OF]
-            _send(shared.work, item * k.SLOT, length, rows, mask, now_us, shared)
+            _send(shared.work, item * k.SLOT, length, mask, now_us, shared)
     ports[link, k.FAULTED] += left != 1 or not same
     return k.NEWS if changed and _has_news(number, shared) else k.DONE
 
@@ -257,26 +252,23 @@ def _has_news(number: int, shared: Shared) -> bool:
 
 
 @kernel
-def pass_datagram(
-    start: int, length: int, link: int, rows: int, now_us: int, shared: Shared
-) -> int:
-    """Pass the frames of a datagram from `ROW_AT` on; what became of it.
+def begin_chunk(length: int, loop: k.Integers) -> None:
+    """Begin with a chunk of so many bytes in `data`, of which nothing leaves yet."""
+    loop[k.LENGTH], loop[k.ROW_AT], loop[k.FOUND] = length, 0, k.REST
+    loop[k.OUT_AT] = loop[k.SEGMENT] = loop[k.OTHERS] = 0
 
-    `rows` is the row of segments that outgoing frames are appended to.
-    """
-    loop, end = shared.loop, start + length
-    while loop[k.ROW_AT] < length:
-        if _is_full(shared):
-            return k.FULL
-        at = start + loop[k.ROW_AT]
-        head, number, stop = frame_header(shared.data.ctypes.data, end, at)
-        if not head:
-            return k.REST
-        found = _pass_frame(at, head, number, stop, link, rows, now_us, shared)
-        if found == k.FRAME or found == k.REST:
-            return found
-        loop[k.ROW_AT] = stop - start
-        if found == k.NEWS:
-            return k.NEWS
-    loop[k.OPEN] = 0  # the next datagram leaves in one of its own
-    return k.DONE
+
+@kernel
+def pass_chunk(shared: Shared) -> None:
+    """Pass the frames of a chunk; FOUND is what became of it, ROW_AT where its rest begins."""
+    loop, found = shared.loop, k.DONE
+    now_us = (loop[k.BASE] + loop[k.CAME]) // 1000
+    while found == k.DONE and loop[k.ROW_AT] < loop[k.LENGTH]:
+        at = loop[k.ROW_AT]
+        head, number, stop = frame_header(shared.data.ctypes.data, loop[k.LENGTH], at)
+        found = k.FULL if _is_full(shared) else k.REST
+        if found == k.REST and head:
+            found = _pass_frame(at, head, number, stop, loop[k.LINK], now_us, shared)
+            if found == k.DONE or found == k.NEWS:
+                loop[k.ROW_AT] = stop
+    loop[k.FOUND] = found

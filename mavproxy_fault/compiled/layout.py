@@ -16,11 +16,11 @@ from mavproxy_fault.numerics.sha256 import ROUNDS, STATE, sha256_constants
 from mavproxy_fault.proxy import senders
 from mavproxy_fault.wire.signing import STREAMS
 
-BATCH = 64  # datagrams per system call
-ROW = 65_536  # bytes kept for each
+ROW = 65_536  # bytes of a chunk at most
 PEERS = 32
 NAME = 32  # bytes kept for a socket address
-HEADER = 8  # 64-bit words of a `mmsghdr`
+SEGMENTS = 64  # that one chunk may leave in
+OUT_SIZE = 1 << 20  # bytes that one chunk may become
 IDS = 1 << 16
 MOST_ENTRIES = 256  # active entries of a schedule
 MOST_STEPS = 1024  # entries in the chains of all messages
@@ -63,31 +63,27 @@ RESEALED, CHANGED = 1, 2  # what ALTERED says: a new checksum, or other bytes to
 # Columns of `ports`, a row per link
 FD, COMPILED, LISTENS, PEER_COUNT, FROM_VEHICLE = range(5)
 DATAGRAMS, BYTES, FRAMES, MISSING, FAULTED, SENT, BYTES_SENT, DROPS, ERRORS = range(5, 14)
-LONE, NAME_SIZE = 14, 15  # whether to receive one datagram at a time; bytes of an address
-BAD_SIGNATURES = 16
-PORT_SIZE = 17
-# Columns of `heads` and `headers`, the words of a `mmsghdr`; of `parts`, those of an `iovec`
-NAME_AT, NAME_LENGTH, PARTS_AT, PART_COUNT, _CONTROL, _CONTROL_LENGTH, _FLAGS, LENGTH = range(8)
-DATA_AT, DATA_LENGTH = range(2)
+NAME_SIZE, BAD_SIGNATURES = 14, 15  # bytes of an address, 0 if it is always the same
+PORT_SIZE = 16
+LINKS, BYTES_OUT = range(2)  # columns of `segments`
 # Entries of `loop`
-DEADLINE, BASE, SPIN, LINK, AT, COUNT, EDGE, WANTED_AT, POLLS, KEEP = range(10)
-RECEIVED_AT, SENT_AT, INDEX_AT, SECONDS, NANOSECONDS, LINK_COUNT, PRECISE = range(10, 17)
-CAME = 17  # when the newest batch came
-TIME_AT, POLLS_AT, HEADS_AT, HEADERS_AT, PEERS_AT = range(18, 23)  # addresses, for system calls
-DUE_COUNT, DUE_AT = 24, 25  # datagrams to send at one time, kept in the rows after the links'
-COMPILED_LINKS = 26  # bit mask
-SIGNING = 27  # what to do with signed frames: nothing (0), or a mask of these two
+DEADLINE, BASE, SPIN, PRECISE, POLLS, LINK_COUNT, COMPILED_LINKS, KEEP = range(8)
+SECONDS, NANOSECONDS, TIME_AT, POLLS_AT, NAME_LENGTH, NAME_LENGTH_AT = range(8, 14)  # and addresses
+# The chunk: its link, when it came, its bytes (LENT while another process's code lends it), how
+# many of them have passed, and what became of it
+LINK, CAME, LENGTH, LENT, ROW_AT, FOUND = range(14, 20)
+# What leaves: bytes, segments, links outside the compiled form, and those of a whole lent chunk
+OUT_AT, SEGMENT, OTHERS, MASK = range(20, 24)
+RECEIVED_AT, SENT_AT, INDEX_AT, HELD_AT = range(24, 28)  # bytes of the logs and of delayed frames
+EDGE, LINK_EDGE = 28, 29  # from when on the core has to see a frame, by vehicle and by link time
+WANTED_AT, WANTED_LINK_AT = 30, 31  # time of the newest frame that a fault may want
+SIGNING, KEY_COUNT = 32, 33  # what to do with signed frames, a mask of these two; rows of `keys`
 KEYED, STRIPPED = 1, 2
-ROW_AT, OUT_AT, SEGMENT, OPEN = range(28, 32)  # in the datagram; in the output; its open segment
-HELD_AT, KEY_COUNT = 32, 33  # bytes of delayed frames, and rows of `keys`
-LENT, FOUND = 34, 35  # bytes of a chunk lent in the last row; what became of a datagram
-OUT_END, OTHERS = 36, 37  # of the output's room; links outside the compiled form that it is for
-MASK = 23  # the links that a lent chunk leaves on, or one of the next
-LINK_EDGE, WANTED_LINK_AT = 38, 39  # as EDGE and WANTED_AT, in link time
-LOOP_SIZE = 40
+SERVED = 34  # datagrams of the link in turn
+LOOP_SIZE = 35
 UNTOUCHED, BEGUN = -1, -2
 # Why it returns
-TIME_IS_UP, HANDED_OVER, OTHER_READY, DUE_SENT, LENT_PASSED, TO_SETTLE = range(6)
+TIME_IS_UP, HANDED_OVER, OTHER_READY, LENT_PASSED, TO_SETTLE = range(5)
 # What became of a datagram: all of it passed, its next frame or its rest is handed over, a label
 # has begun, no room for output
 DONE, FRAME, REST, NEWS, FULL = range(5)
@@ -108,26 +104,23 @@ Doubles = Any  # float64
 class Shared(NamedTuple):
     """Every array of the compiled form: kind of its numbers (a `struct` code), and shape.
 
-    `links`, `rows` (one more), `room` (that of all rows), `descriptors` and `log` depend on the
-    proxy. For Python, arrays of octets have one dimension only, so that they can be sliced.
+    `links`, `descriptors` and `log` depend on the proxy. For Python, arrays of octets have one
+    dimension only, so that they can be sliced.
     """
 
     loop: Integers = ("q", LOOP_SIZE)
     polls: Integers = ("q", "descriptors")  # `pollfd` each
     ports: Integers = ("q", "links", PORT_SIZE)
-    heads: Integers = ("q", "rows", BATCH, HEADER)  # for recvmmsg
-    headers: Integers = ("q", "rows", BATCH, HEADER)  # for sendmmsg
-    parts: Integers = ("q", "rows", BATCH, 2)  # what `headers` point to
-    names: Octets = ("B", "rows", BATCH, NAME)  # who sent each row
+    name: Octets = ("B", NAME)  # who sent the chunk
     peers: Octets = ("B", "links", PEERS, NAME)
     heard: Integers = ("q", "links", PEERS)  # 1 where a peer has spoken since the last count
     histogram: Integers = ("q", "links", LATENCY_STEPS)  # datagrams by latency
-    data: Octets = ("B", "room")  # the datagrams' bytes
+    data: Octets = ("B", ROW)  # the chunk
     senders: Integers = ("q", senders.SIZE)
     table: Integers = ("q", IDS, TABLE_SIZE)
     crc: Words = ("H", SLICES, 256)
-    outs: Octets = ("B", "room")  # outgoing bytes, by the link that they came from
-    masks: Integers = ("q", "rows", BATCH)  # the links that a segment of them goes to
+    outs: Octets = ("B", OUT_SIZE)  # what leaves of it
+    segments: Integers = ("q", SEGMENTS, 2)  # and on which links, in turn
     held: Octets = ("B", HELD_SIZE)  # delayed frames
     received: Octets = ("B", "log")
     sent: Octets = ("B", "log")
@@ -171,8 +164,7 @@ def address(numbers: Any) -> int:
 def new_shared(links: int, descriptors: int, *, keep: bool, **given: Any) -> Shared:
     """All arrays but the given ones; with `keep` also those that record the traffic."""
     sizes = {
-        "links": links, "rows": links + 1, "descriptors": max(descriptors, 1),
-        "log": LOG_SIZE if keep else 1, "room": (links + 1) * BATCH * ROW,
+        "links": links, "descriptors": max(descriptors, 1), "log": LOG_SIZE if keep else 1,
     }  # fmt: skip
     given |= {"memory": memory.ARENA, "sha_constants": sha256_constants()}
     made = Shared(

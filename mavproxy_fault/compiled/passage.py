@@ -42,8 +42,7 @@ class Passage(CompiledCore):
     @property
     def room(self) -> memoryview:
         """Room for a datagram."""
-        start = self._rows * k.BATCH * k.ROW
-        return memoryview(self.shared.data)[start : start + k.ROW]
+        return memoryview(self.shared.data)
 
     def settle(self) -> None:
         """Give the core what was counted, and the passed frames to the tape."""
@@ -53,7 +52,7 @@ class Passage(CompiledCore):
 
 def new_passage(core: Core, tape: CaptureBuffer) -> Passage | None:
     """A passage, whose machine code is made where there is none yet; None where it cannot be."""
-    if not datagrams.HAS_RECVMMSG:
+    if not datagrams.IS_LINUX:
         return None
     if object_file.load() is None:
         print("first use: compiling machine code, once, which takes up to a minute",

@@ -1,4 +1,4 @@
-"""Datagrams of one socket, received one by one; on Linux the compiled path receives batches.
+"""Datagrams of one socket; on Linux the compiled path receives and sends them.
 
 Addresses have the raw Linux form on every system, so that their users (`peers`, the compiled path)
 need only one form.
@@ -8,8 +8,8 @@ import socket
 import struct
 import sys
 
-# Whether the compiled path's system calls, recvmmsg(2) and sendmmsg(2), are there.
-HAS_RECVMMSG = sys.platform == "linux" and hasattr(socket, "MSG_DONTWAIT")
+# Whether the compiled path's system calls are there.
+IS_LINUX = sys.platform == "linux" and hasattr(socket, "MSG_DONTWAIT")
 BATCH = 64
 MAX_DATAGRAM = 65_536  # a shorter buffer would truncate silently
 V4, V6 = struct.Struct("=H2s4s8x"), struct.Struct("=H2s4s16sI")  # sockaddr_in, sockaddr_in6

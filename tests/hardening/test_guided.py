@@ -25,7 +25,7 @@ import pytest
 from mavproxy_fault.compiled.object_file import Forward, load, make
 from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.datagrams import HAS_RECVMMSG
+from mavproxy_fault.links.datagrams import IS_LINUX
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
@@ -110,7 +110,7 @@ def made() -> Forward | None:
 
 def machine(one: Core, tape: CaptureBuffer) -> Passage | None:
     """The core's compiled path; None on systems without one."""
-    if not HAS_RECVMMSG:
+    if not IS_LINUX:
         return None
     with patch("mavproxy_fault.compiled.compiled_core.load", made):
         return Passage(one, tape)

@@ -418,7 +418,7 @@ def test_a_fault_without_random_numbers_never_imports_numpy() -> None:
 def test_without_linux_system_calls_the_interpreted_path_is_used(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(datagrams, "HAS_RECVMMSG", False)
+    monkeypatch.setattr(datagrams, "IS_LINUX", False)
     monkeypatch.setattr(server_module.ctypes, "CDLL", lambda name: object())
     master = open_link("udpin:127.0.0.1:0")
     with udp() as station, udp() as vehicle:

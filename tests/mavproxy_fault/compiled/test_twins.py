@@ -279,14 +279,13 @@ def compiled(
             data = apply_edits(core, edits, n, edited_us)
             vehicle.sendto(datagram, ("127.0.0.1", links[0].port))
             arrived = forwarder.ports[0, k.DATAGRAMS] + 1
-            while forwarder.ports[0, k.DATAGRAMS] < arrived or forwarder.pending:
+            while forwarder.ports[0, k.DATAGRAMS] < arrived:
                 until_ns = time.monotonic_ns() + 100_000
                 now_us = (forwarder.loop[k.BASE] + until_ns) // 1000 - 100
-                if not forwarder.loop[k.ROW_AT]:  # not in the middle of a datagram
-                    data += b"".join(send.data for send in core.due(now_us))
-                    due_us = core.next_due_us
-                    if due_us is not None:
-                        until_ns = min(until_ns, due_us * 1000 - forwarder.loop[k.BASE])
+                data += b"".join(send.data for send in core.due(now_us))
+                due_us = core.next_due_us
+                if due_us is not None:
+                    until_ns = min(until_ns, due_us * 1000 - forwarder.loop[k.BASE])
                 forwarder.forward(until_ns, spin=False)
                 with contextlib.suppress(BlockingIOError):
                     while True:
@@ -432,26 +431,6 @@ def test_the_first_simulated_sample_restarts_the_timeline_in_both_ways() -> None
     known = build_frame(message_layout("HEARTBEAT"), {"type": 2}, component=51)
     faults = [{"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 1, "at_s": 0.1}]
     check([*uptimes, known, *simulated], faults)
-
-
-def test_what_is_left_of_a_batch_after_a_count_is_counted_too() -> None:
-    """The count came between a datagram that was handed over and the rest of its batch."""
-    links = [UdpServer("127.0.0.1", 0), UdpClient("127.0.0.1", 9)]
-    core = Core(link_roles(links))
-    forwarder = Forwarder(links, core, [LatencyHistogram(), LatencyHistogram()], WALL_NS)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
-        for seq in range(3):
-            frame = build_frame(message_layout("HEARTBEAT"), {"type": 2}, seq=seq)
-            vehicle.sendto(frame, ("127.0.0.1", links[0].port))
-    while not forwarder.pending:
-        forwarder.forward(time.monotonic_ns() + 100_000, spin=False)
-    forwarder.count()
-    while forwarder.pending:
-        forwarder.forward(time.monotonic_ns() + 100_000, spin=False)
-    forwarder.count()
-    assert core.states[0].frames == 3
-    for link in links:
-        link.close()
 
 
 def test_a_live_edit_loses_no_count_of_the_faults_already_acting() -> None:
