@@ -1,8 +1,8 @@
 """Protection levels: how far the position may be off at a stated integrity risk.
 
-By solution separation, as in advanced RAIM [1]_, about the detector's own position; docs/fdi.md
-says what they assume. A satellite's snapshot is a change of rank one [2]_ of that of all, x with
-C = inv(A'WA): with g = C a,
+By solution separation, as in advanced RAIM [1]_, about the detector's own position;
+docs/protection_levels.md says what they assume. A satellite's snapshot is a change of rank one [2]_
+of that of all, x with C = inv(A'WA): with g = C a,
 
     C_k = C + w g g' / (1 - w a'g),   x_k = x - w g (v - a'x) / (1 - w a'g).
 

@@ -25,7 +25,7 @@ from analysis.detection.receiver.receiver_or_imu import UNDECIDED
 from analysis.detection.sensors.instance_vote import InstanceVoteDetector
 from analysis.detection.sensors.jamming_detector import JammingDetector
 from analysis.detection.sensors.level_detector import LevelDetector
-from analysis.detection.streams.pause_filter import PauseFilter, PauseState, drop_log_gaps
+from analysis.detection.streams.pause_filter import PauseState, drop_log_gaps, track_pauses
 from analysis.detection.streams.stream_detector import StreamDetector
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.monitor.filter_step import FilterStep
@@ -127,8 +127,7 @@ class Pipeline:
         steps: dict[str, Any] = {FILTER: self._filter, **self._detectors}
         self.states = {name: step.new_state() for name, step in steps.items()}
         self.alarms: dict[str, list[SensorDecision]] = {name: [] for name in self._detectors}
-        self._pauses = PauseFilter() if config.streams else None
-        self._pauses_state = PauseState()
+        self._pauses = PauseState() if config.streams else None
         self._lost_us: Sequence[tuple[int, int]] = ()
         self._tumble = TumbleState()
         self._held_out_us = NEVER_US  # until when the filter does without the IMU
@@ -153,10 +152,7 @@ class Pipeline:
             rows = drop_log_gaps(rows, self._lost_us)
             self.alarms[name] += [result for _, result in rows if result.alarm]
             found += rows
-        results = self._filtered(block, found)
-        if self._pauses is not None:
-            results, self._pauses_state = self._pauses.step(block, results, self._pauses_state)
-            results = drop_log_gaps(results, self._lost_us)
+        results = drop_log_gaps(self._filtered(block, found), self._lost_us)
         errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)
         results += [*found, *errors]
         # By row, so that results do not depend on how the stream was cut into blocks.
@@ -181,7 +177,10 @@ class Pipeline:
         results, self.states[FILTER] = self._filter.step(used, self.states[FILTER])
         if rows is not None:
             results = [(int(rows[row]), result) for row, result in results]
-        return withdraw_silence(results, until) if until[-1] != NEVER_US else results
+        paused = np.full(len(until), NEVER_US)
+        if self._pauses is not None:
+            paused = track_pauses(block, self._pauses)
+        return withdraw_silence(results, until, paused)
 
     def attitude(self, labels: Sequence[Label] = ()) -> dict[str, Any]:
         """Scores by estimator; an autopilot that only repeats the truth is marked and put last."""

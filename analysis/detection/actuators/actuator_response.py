@@ -3,7 +3,8 @@
 The test is suspended on the ground, where the ground reaction hides motor failures. The vehicle
 counts as flying once it is 3 m above its first fix or faster than 3 m/s, until it rests near its
 first height again. While it is low and slow in between, a leg may touch the ground, so the test is
-suspended too; a vehicle with wings that began at rest may roll on the ground at any speed. An
+suspended too; after a flight from the ground it may do so at any speed, and a vehicle with wings
+that began at rest may roll. An
 impact while an actuator is isolated is a crash: no sensor is tested after it until the next flight.
 """
 
@@ -103,6 +104,8 @@ class ActuatorResponse:
     lag_us: float = math.nan  # means of the commands: behind the IMU, and their interval
     interval_us: float = math.nan
     command_us: int = -FOREVER_US
+    from_ground: bool = False  # its motors stood still at the first command
+    rose: bool = False  # it has been above the height of its first fix
     flies: bool = False
     crash_us: int = FOREVER_US
     irregular_left: int = 0  # bins left to skip
@@ -175,6 +178,7 @@ class ActuatorResponse:
         source, outputs = int(values[COMMAND_SOURCE]), values[:COMMANDS]
         if not self.source and (source == CONTROLS or self.effects.unknown):
             self.source = source
+            self.from_ground = source == CONTROLS and not outputs.any()
         if source != self.source or not (np.abs(outputs) <= MOST_COMMAND).all():
             return None
         self._compare_lag(self.bins.sample_us - t_us)
@@ -229,13 +233,14 @@ class ActuatorResponse:
             self.first_alt_m = float(fix[ALT])
             if self.ground_mps == BY_FIRST_FIX:
                 self.ground_mps = math.inf if speed < REST_SPEED_MPS else FLYING_SPEED_MPS
-        up = abs(fix[ALT] - self.first_alt_m) > FLYING_HEIGHT_M
+        up = bool(abs(fix[ALT] - self.first_alt_m) > FLYING_HEIGHT_M)
+        self.rose |= up
         if not self.flies and (up or speed > FLYING_SPEED_MPS):
             self.flies, self.crash_us = True, FOREVER_US
             self._begin_flight()
         elif self.flies and not up and speed < REST_SPEED_MPS:
             self.flies, self.isolated = False, NO_HYPOTHESES
-        elif not up and speed < self.ground_mps:
+        elif not up and (speed < self.ground_mps or (self.from_ground and self.rose)):
             self.irregular_left = IRREGULAR_BINS
 
     def _is_off(self) -> bool:

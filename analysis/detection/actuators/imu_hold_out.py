@@ -2,10 +2,10 @@
 
 from collections.abc import Iterable, Sequence
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
-from analysis.detection.streams.pause_filter import is_imu_silence
+from analysis.detection.streams.pause_filter import AFTER_PAUSE_US, IMU_SILENT
 from analysis.results import Result, SensorDecision
 from analysis.samples.block import IMU, Block, Indices, Stamps
 
@@ -34,12 +34,16 @@ def trusted_rows(block: Block, until: Stamps) -> Indices | None:
 
 
 def withdraw_silence(
-    results: Sequence[tuple[int, Result]], until: Stamps
+    results: Sequence[tuple[int, Result]], until: Stamps, paused: Stamps
 ) -> list[tuple[int, Result]]:
-    """The results without alarms that a held-out IMU is silent."""
+    """The results without alarms of an IMU that is silent because it is held out, or because
+    everything had `paused` until then; both by row (n,)."""
     changed: list[tuple[int, Result]] = []
     for row, result in results:
-        if is_imu_silence(result) and result.t_us < until[row] + HELD_US:
-            result = msgspec.structs.replace(result, alarm=False, isolated=False, reason=HELD_OUT)
+        if isinstance(result, SensorDecision) and result.reason.startswith(IMU_SILENT):
+            if result.t_us - paused[row] <= AFTER_PAUSE_US:
+                continue
+            if result.t_us < until[row] + HELD_US:
+                result = replace(result, alarm=False, isolated=False, reason=HELD_OUT)
         changed.append((row, result))
     return changed

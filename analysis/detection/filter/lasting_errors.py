@@ -1,7 +1,7 @@
 """Errors that last for minutes: the position's covariance beyond the filter's covariance.
 
 They are *considered*, not estimated [1]_: gain and tests stay as they are, and the reported
-covariance of the position is f P + S L S' (docs/fdi.md, "The position's sigma").
+covariance of the position is f P + S L S' (docs/protection_levels.md).
 
 References
 ----------

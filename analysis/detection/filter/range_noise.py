@@ -54,9 +54,11 @@ class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     @cached_property
     def numbers(self) -> SigmaNumbers:
         """The terms that the kernels need."""
-        *names, _ = SigmaNumbers._fields
-        numbers = (float(getattr(self, name)) for name in names)
-        return SigmaNumbers(*numbers, systems=tuple(map(float, self.systems)))
+        scale, floor, zenith, thermal, rate, *systems = map(
+            float,
+            (self.scale, self.floor_m, self.zenith_m, self.thermal_m, self.rate_mps, *self.systems),
+        )
+        return SigmaNumbers(scale, floor, zenith, thermal, rate, tuple(systems))
 
 
 @compiled

@@ -81,7 +81,8 @@ def solve_initial_fix(
         return InitialFix(None, f"{count} satellites; {unknowns + 1} are needed to test")
     m, dof = projected_weights(design, 1.0 / innovations.variance), count - unknowns
     q = float(innovations.range_m @ (m @ innovations.range_m))
-    threshold, faulty = chi_square_threshold(dof, config.p_false_alarm), ()
+    threshold = chi_square_threshold(dof, config.p_false_alarm)
+    faulty: tuple[str, ...] = ()
     if q > threshold:
         subset, reason = _faulty_satellites(innovations, m, q, unknowns, config)
         if reason:

@@ -1,4 +1,4 @@
-"""Withdraws alarms about a silent IMU while everything paused: the IMU is not at fault."""
+"""Which silences a pause explains: of everything, where the IMU is not at fault, or of a logger."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ ABSENCE_REASONS = ("silent for", "rate is", IMU_SILENT)  # prefixes of the reaso
 R = TypeVar("R", bound=Result)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class PauseState:
     """The newest stamp of any sensor, and the one at which the last pause ended."""
 
@@ -25,22 +25,15 @@ class PauseState:
     ended_us: int = NEVER_US
 
 
-@dataclass(frozen=True)
-class PauseFilter:
-    """A pipeline step that removes the anomalies that a pause explains."""
-
-    def step(
-        self, block: Block, results: list[tuple[int, Result]], state: PauseState
-    ) -> tuple[list[tuple[int, Result]], PauseState]:
-        """The remaining results, each with its row, and the next state."""
-        if not len(block.kind):
-            return results, state
-        ended, state = _pause_ends(block, state)
-        return [
-            (row, result)
-            for row, result in results
-            if not is_imu_silence(result) or result.t_us - ended[row] > AFTER_PAUSE_US
-        ], state
+def track_pauses(block: Block, state: PauseState) -> Stamps:
+    """When the last pause of everything ended, by row (n,); the state is changed in place."""
+    shows_time = SHOWS_TIME[block.kind] & (block.t_us > 0)
+    stamps = np.where(shows_time, block.t_us, NEVER_US)
+    newest = np.maximum.accumulate(np.append(state.newest_us, stamps))
+    ends = np.where(np.diff(newest) > PAUSE_US, newest[1:], NEVER_US)
+    ended: Stamps = np.maximum(np.maximum.accumulate(ends), state.ended_us)
+    state.newest_us, state.ended_us = int(newest[-1]), int(ended[-1])
+    return ended
 
 
 def drop_log_gaps(
@@ -55,18 +48,3 @@ def drop_log_gaps(
         if not (isinstance(result, SensorDecision) and result.reason.startswith(ABSENCE_REASONS))
         or not any(begin <= result.t_us <= end + AFTER_PAUSE_US for begin, end in lost_us)
     ]
-
-
-def _pause_ends(block: Block, state: PauseState) -> tuple[Stamps, PauseState]:
-    """When the last pause ended, by row (n,)."""
-    shows_time = SHOWS_TIME[block.kind] & (block.t_us > 0)
-    stamps = np.where(shows_time, block.t_us, NEVER_US)
-    newest = np.maximum.accumulate(np.append(state.newest_us, stamps))
-    ends = np.where(np.diff(newest) > PAUSE_US, newest[1:], NEVER_US)
-    ended = np.maximum(np.maximum.accumulate(ends), state.ended_us)
-    return ended, PauseState(int(newest[-1]), int(ended[-1]))
-
-
-def is_imu_silence(result: Result) -> bool:
-    """Whether a result reports a silent IMU."""
-    return isinstance(result, SensorDecision) and result.reason.startswith(IMU_SILENT)

@@ -377,3 +377,18 @@ def test_no_actuator_leads_its_command(vehicle: str) -> None:
     """A lag of -3e-17 s, which is rounding, made every test of a fixed wing NaN."""
     effects = setup_of(vehicle).monitor.actuators
     assert (effects.lags_s >= 0.0).all()
+
+
+@pytest.mark.parametrize(("first", "suspended"), [(0.0, True), (0.5, False)])
+def test_near_the_ground_that_it_took_off_from_a_vehicle_may_touch_it_at_any_speed(
+    first: float, suspended: bool
+) -> None:
+    state = _initial_state(setup_of("quad").monitor.actuators)
+    commands = CommandSample(0, np.full(12, first), "HIL_ACTUATOR_CONTROLS")
+    drifting = np.array([5.0, 0.0, 0.7])
+    fixes = [
+        GpsFix(t, 47.0, 8.0, alt_m, drifting, 3, 12, 1.0, 1.0, "HIL_GPS")
+        for t, alt_m in enumerate([500.0, 510.0, 501.0], 1)
+    ]
+    assert list(state.add_block(block_of([commands, *fixes]))) == []
+    assert (state.irregular_left > 0) == suspended

@@ -57,7 +57,8 @@ def test_silence_and_an_ambiguous_compass_do_not_hold_the_imu_out() -> None:
 def test_a_held_out_imu_is_not_silent() -> None:
     until = np.array([2_000_000, 2_000_000])
     silent = alarm(1_500_000, "no IMU samples for 0.40 s")
-    (_, found), (_, later) = withdraw_silence([(0, silent), (1, alarm(9_000_000))], until)
+    rows = [(0, silent), (1, alarm(9_000_000))]
+    (_, found), (_, later) = withdraw_silence(rows, until, np.full(2, NEVER_US))
     assert isinstance(found, SensorDecision)
     assert (found.alarm, found.reason) == (False, HELD_OUT)
     assert isinstance(later, SensorDecision)
