@@ -6,6 +6,7 @@ import re
 from collections.abc import AsyncIterator
 from typing import Any
 
+import msgspec
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
@@ -137,15 +138,13 @@ class LivePage:
             return refusal_answer(
                 404, f"{what} is unknown; ids consist of letters, digits, dots, - and _"
             )
-        try:
-            body = await read_body(request)
+
+        def act(body: bytes) -> Any:
             if not self._commands:
-                await run_in_threadpool(refuse_commands, what, body)
-            # In a thread: the bus blocks until its reply.
-            reply = await run_in_threadpool(self._source.query, what, body)
-        except ConfigError as error:
-            return refusal_answer(400, str(error))
-        return Response(reply, media_type="application/json")
+                refuse_commands(what, body)
+            return msgspec.json.decode(self._source.query(what, body))
+
+        return await action_answer(request, act)
 
     async def _live(self, socket: WebSocket) -> None:
         await socket.accept()

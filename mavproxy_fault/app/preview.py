@@ -55,7 +55,7 @@ class FaultCurve(NamedTuple):
     lost: list[float]
 
 
-def draw_preview(schedule: Schedule, path: Path, columns: int = COLUMNS) -> None:
+def draw_preview(schedule: Schedule, path: Path) -> None:
     """Draw one plot for every entry of a schedule.
 
     Raises
@@ -67,7 +67,7 @@ def draw_preview(schedule: Schedule, path: Path, columns: int = COLUMNS) -> None
     if not entries:
         raise ConfigError(f"{path}: the schedule has no faults to draw; add some")
     # No empty columns for a short schedule.
-    columns = min(columns, len(entries))
+    columns = min(COLUMNS, len(entries))
     rows = math.ceil(len(entries) / columns)
     figure = import_extra("matplotlib.figure").Figure(
         figsize=(3.4 * columns, 2.2 * rows), layout="constrained"

@@ -12,9 +12,8 @@ import re
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 from msgspec import Meta
@@ -71,7 +70,12 @@ LEARN_FRAMES = 50  # or so many frames; chosen: sensors in HIL_SENSOR have 5 Hz 
 REPLY_US = 5_000_000  # chosen: ground stations give up after 3 s or less
 MOST_PENDING = 16  # chosen: more commands than a station leaves unanswered
 READ_ONLY_REQUESTS = ("state", "schedule/save")  # these do not change the schedule
+REQUESTS = (
+    *READ_ONLY_REQUESTS, "schedule/load", "schedule/begin", "schedule/stop", "fault/ID/arm",
+    "fault/ID/disarm", "fault/ID/value",
+)  # fmt: skip
 LOG = logging.getLogger(__name__)
+T = TypeVar("T")
 FIRST_STATION = 240  # ground stations have system ids from here on: MAVSDK 245, others 255
 AUTOPILOT = 1  # MAV_COMP_ID_AUTOPILOT1, the component in whose name a command is acknowledged
 
@@ -443,20 +447,7 @@ class LiveControl:
             return lambda _: {"yaml": self.engine.save(), "anew": self.engine.save(anew=True)}
         if not self.allowed:
             raise ConfigError(f"{what}: live control is disabled; start without --no-inject")
-        prefix, _, action = what.rpartition("/")
-        edits: dict[str, Callable[[bytes], Callable[[], Any]]] = {
-            "schedule/load": partial(self._load, what, anew=False),
-            "schedule/begin": partial(self._load, what, anew=True),
-            "schedule/stop": lambda _: lambda: {"cleared": self.engine.clear("all")},
-        }
-        if prefix.startswith("fault/"):
-            edit = self._fault_edit(prefix.removeprefix("fault/"), action, payload)
-        elif what in edits:
-            edit = edits[what](payload)
-        else:
-            raise ConfigError(
-                f"@ctl: {what} is unknown; {suggest_known(what, [*edits, *READ_ONLY_REQUESTS])}"
-            )
+        edit = self._edit(what, payload)
 
         def act(t_us: int) -> Any:
             self.engine.advance_time(t_us)
@@ -464,23 +455,26 @@ class LiveControl:
 
         return act
 
-    def _fault_edit(self, id: str, action: str, payload: bytes) -> Callable[[], Any]:
-        if action == "disarm":
-            return lambda: self._disarm(id)
-        if action not in ("arm", "value"):
-            raise ConfigError(f"@ctl/fault/{id}/{action}: is unknown; send arm, disarm or value")
-        kind: Any = dict[str, Any] if action == "arm" else ValueRequest
-        try:
-            data = msgspec.json.decode(payload, type=kind)
-        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-            raise ConfigError(f"@ctl/fault/{id}/{action}: {error}; send JSON") from None
-        if action == "value":
-            return lambda: self._update(id, data)
-        check_id(id, "arm")
-        check_files(data, self.folders, "arm")
-        # The id in the key takes precedence over one in the payload.
-        entries = parse_entry({**data, "id": id}, "arm")
-        return lambda: {"armed": self.engine.arm(entries)}
+    def _edit(self, what: str, payload: bytes) -> Callable[[], Any]:
+        """Check a request that changes the schedule and return what applies it."""
+        match what.split("/"):
+            case ["schedule", "load" | "begin" as how]:
+                return self._load(what, payload, anew=how == "begin")
+            case ["schedule", "stop"]:
+                return lambda: {"cleared": self.engine.clear("all")}
+            case ["fault", id, "disarm"]:
+                return lambda: self._disarm(id)
+            case ["fault", id, "value"]:
+                value = _decode(what, payload, ValueRequest)
+                return lambda: self._update(id, value)
+            case ["fault", id, "arm"]:
+                data = _decode(what, payload, dict[str, Any])
+                check_id(id, "arm")
+                check_files(data, self.folders, "arm")
+                # The id in the key takes precedence over one in the payload.
+                entries = parse_entry({**data, "id": id}, "arm")
+                return lambda: {"armed": self.engine.arm(entries)}
+        raise ConfigError(f"@ctl: {what} is unknown; {suggest_known(what, REQUESTS)}")
 
     def _disarm(self, id: str) -> Any:
         if not self.engine.clear(id):
@@ -510,6 +504,13 @@ class LiveControl:
             return {"faults": [entry.id for entry in schedule.faults]}
 
         return act
+
+
+def _decode(what: str, payload: bytes, kind: type[T]) -> T:
+    try:
+        return msgspec.json.decode(payload, type=kind)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise ConfigError(f"@ctl/{what}: {error}; send JSON") from None
 
 
 def acknowledge_command(command: Frame, result: int, system: int) -> Frame:

@@ -76,12 +76,8 @@ def unwrap_message(message: bytes) -> bytes:
     ValueError
         If it is not one message with a valid CRC.
     """
-    if len(message) < HEADER + TRAILER or message[0] != PREAMBLE:
-        raise ValueError("not an RTCM 3 message")
-    if len(message) != HEADER + TRAILER + ((message[1] & 0x03) << 8 | message[2]):
-        raise ValueError("RTCM message of the wrong length")
-    if crc24q(message[:-TRAILER]) != int.from_bytes(message[-TRAILER:], "big"):
-        raise ValueError("RTCM message with a wrong CRC")
+    if [*split_messages(message)] != [message]:
+        raise ValueError("not one RTCM 3 message with a valid CRC")
     return message[HEADER:-TRAILER]
 
 

@@ -279,8 +279,8 @@ def _with_presets(document: Document, at: DocumentPath) -> dict[str, Any]:
                 _apply_preset(entry, known, check, (*at, kind, index))
                 for index, entry in enumerate(value)
             ]
+            # The id is the index in the list, unless the entry has one.
             out[kind] = [
-                # The id is the index in the list, unless the entry has one.
                 {"id": index, **entry} if isinstance(entry, dict) else entry
                 for index, entry in enumerate(filled)
             ]
