@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 import msgspec
 import yaml
+from analysis.search.evaluation.evaluator import Evaluator
 
 from analysis.flying.worker_pool import InProcessPool
 from analysis.search.archive import Archive
-from analysis.search.evaluation.simulated_batch import SimulatedBatch
 from analysis.search.search_command import search_cases
 from analysis.search.space.point_scenario import faults_of
 from analysis.search.space.test_file import TestFile, read_test
@@ -92,7 +92,7 @@ def write_search(folder: Path, weakness: Weakness, binary: str) -> TestFile:
 
 def violations(test: TestFile, values: dict[str, float], number: int) -> str:
     """In how many repeated flights with other noise the requirement is violated."""
-    flown = [SimulatedBatch(test).scores(values, 77, number + k) for k in range(AGAIN)]
+    flown = [Evaluator(test).scores(values, 77, number + k) for k in range(AGAIN)]
     return f"{sum(bool(one.rmse_deg[0] > 0.0) for one in flown)} of {AGAIN}"
 
 
@@ -105,7 +105,7 @@ def measure(name: str, weakness: Weakness, binary: str) -> str:
         case = archive.cases[0]
         if case.fitness <= 0.0:
             return " | ".join([name, weakness.violate, f"not in {flown}", "", "", ""])
-        point = SimulatedBatch(test).space.values(case.point[None, :])
+        point = Evaluator(test).space.values(case.point[None, :])
         values = {key: float(value[0]) for key, value in point.items()}
         faults = "; ".join(describe(fault) for fault in faults_of(test, values))
         assert test.autopilot is not None

@@ -73,10 +73,10 @@ HARDER = {
 
 
 def batch_of(**changes):
-    from analysis.search.evaluation.compiled_batch import Batch
+    from analysis.search.evaluation.evaluator import Evaluator
     from analysis.search.space.test_file import TestFile
 
-    return Batch(msgspec.convert(changes, TestFile))
+    return Evaluator(msgspec.convert(changes, TestFile))
 
 
 def cpu(function):
@@ -88,27 +88,10 @@ def cpu(function):
 def ours(estimator="inverse-model", count=256):
     batch = batch_of(**STEADY, estimator=estimator, noise_draws=1)
     points = np.random.default_rng(1).random((count, batch.space.dimension))
-    batch.evaluate(points[:32], 1, 0)
+    batch.evaluate(points[:2], 1, 0)
     outcome, seconds = cpu(lambda: batch.evaluate(points, 1, 0))
     assert (outcome.broken_limit == 0).all()
     return outcome.steps / seconds
-
-
-def plain_numpy():
-    from search_numpy import fly
-
-    from analysis.search.lanes import rows
-
-    batch = batch_of(**STEADY)
-    points = np.random.default_rng(1).random((1000, batch.space.dimension))
-    flights = batch.columns(batch.space.values(points))
-    x, u = flights[:13], flights[rows.CONTROL : rows.CONTROL + 4]
-    vehicle = batch.airframe
-    steps = 200
-    _, seconds = cpu(
-        lambda: fly(x, u, vehicle.aero, vehicle.body, steps, 0.01, np.random.default_rng(1))
-    )
-    return 1000 * steps / seconds
 
 
 def jsbsim():
@@ -139,9 +122,8 @@ def speed():
     programs = {
         "Scilab, ode() + sensors + Heun": scilab,
         "JSBSim c172p, no sensors, no estimator": jsbsim,
-        "numpy, 1,000 trajectories": plain_numpy,
-        "ours, inverse sensor model": ours,
-        "ours, Mahony": lambda: ours("mahony", 64),
+        "ours, inverse sensor model": lambda: ours(count=32),
+        "ours, Mahony": lambda: ours("mahony", 32),
         "ours, EKF": lambda: ours("ekf", 32),
     }
     found = {name: [] for name in programs}
@@ -169,7 +151,7 @@ def workers():
     from analysis.search.space.test_file import TestFile
 
     test = msgspec.convert({**STEADY, "noise_draws": 1}, TestFile)
-    points = np.random.default_rng(1).random((4096, 4))
+    points = np.random.default_rng(1).random((512, 4))
     pool = LocalWorkerPool(2)
     evaluate_with(pool, test, points[:64], 1, 0, 1)
     for _ in range(3):
@@ -181,7 +163,7 @@ def workers():
 
 
 def start():
-    """Seconds until the first 32 flights are done, in a new process; run twice."""
+    """Seconds until the first flight is done, in a new process; run twice."""
     code = (
         "import time; t = time.perf_counter()\n"
         "import sys; sys.path.insert(0, 'benchmarks'); import search\n"

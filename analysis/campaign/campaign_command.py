@@ -16,7 +16,7 @@ from mavproxy_fault.documents.extras import require_extra
 
 # Rough values: an estimate in minutes, hours or days.
 SIMULATOR_SPEED = 15.0  # simulated seconds per second of one worker
-LANE_SPEED = 20_000.0
+COMPILED_SPEED = 7_000.0
 # With start, take-off and landing: 26 s under PX4 took 13 s, under ArduCopter 27 s.
 AUTOPILOT_SPEED = 1.0
 
@@ -113,7 +113,7 @@ def estimate_size(plan: CampaignPlan, workers: int) -> CampaignSize:
     campaign: CampaignFile = plan.campaign
     # Reference flights are flights, but not cells.
     flights, cells = plan.max_flights + len(plan.reference_jobs()), plan.max_cells
-    speed = LANE_SPEED if campaign.compiled else SIMULATOR_SPEED
+    speed = COMPILED_SPEED if campaign.compiled else SIMULATOR_SPEED
     if any(map(campaign.autopilot, campaign.subject_names)):
         speed = AUTOPILOT_SPEED
     wall_s = flights * plan.flight_s / speed / workers

@@ -151,7 +151,7 @@ class SubjectChoice(_Section, frozen=True):
 
 
 class CompiledScenario(_Section, frozen=True):
-    """A flight of the search's compiled fixed wing; `compiled` holds keys of a test file."""
+    """A compiled flight of the search's own aircraft; `compiled` holds keys of a test file."""
 
     name: str
     compiled: dict[str, Any]
@@ -219,7 +219,7 @@ class CampaignFile(_Section, frozen=True, dict=True):
 
     @property
     def compiled(self) -> bool:
-        """Whether the compiled kernels fly the campaign."""
+        """Whether the campaign has compiled flights."""
         return isinstance(self.scenarios[0], CompiledScenario)
 
     def autopilot(self, name: str) -> SubjectChoice | None:

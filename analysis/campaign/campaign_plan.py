@@ -15,12 +15,12 @@ import msgspec
 from analysis.campaign.bisection import HALVINGS, CriticalMagnitude, bisect_magnitude
 from analysis.campaign.campaign_file import CampaignFile, SubjectChoice
 from analysis.campaign.cell import HEALTHY, Cell, CellResult, file_key
-from analysis.campaign.flying.flight_job import FlightJob, Job, LaneJob, setup_by_name
+from analysis.campaign.flying.flight_job import CompiledJob, FlightJob, Job, setup_by_name
 from analysis.campaign.outcomes import ABORTED
 from analysis.flying.flight_evidence import CampaignFlight
 from mavproxy_fault.documents.extras import import_extra
 
-MAX_BATCH_CELLS = 2048  # cells in one batch, so that progress shows and a kill loses little
+MAX_BATCH_CELLS = 256  # cells in one batch, so that progress shows and a kill loses little
 KnownResults = Mapping[str, CellResult]
 JobSequence = Generator[Job, list[CellResult], None]
 
@@ -111,7 +111,7 @@ class CampaignPlan:
             for cell in self._series():
                 yield self._critical(cell, known, references)
         elif self.campaign.compiled:
-            yield from self._lanes(known)
+            yield from self._compiled(known)
         else:
             for cells in self._grid():
                 missing = tuple(cell for cell in cells if cell.key not in known)
@@ -160,7 +160,7 @@ class CampaignPlan:
                 for magnitude in self.campaign.all_faults[series.fault].magnitude_list():
                     yield [cell_at(series, magnitude, subject) for subject in group]
 
-    def _lanes(self, known: KnownResults) -> Iterator[JobSequence]:
+    def _compiled(self, known: KnownResults) -> Iterator[JobSequence]:
         """Yield compiled batches of cells that differ in magnitude, onset and duration."""
         cells = (cell for group in self._grid() for cell in group if cell.key not in known)
         # `groupby` needs sorted input.
@@ -168,11 +168,13 @@ class CampaignPlan:
         for _, batch in groupby(ordered, key=_batch_key):
             listed = tuple(batch)
             for start in range(0, len(listed), MAX_BATCH_CELLS):
-                yield _single_job(LaneJob(self.campaign, listed[start : start + MAX_BATCH_CELLS]))
+                yield _single_job(
+                    CompiledJob(self.campaign, listed[start : start + MAX_BATCH_CELLS])
+                )
 
     def _job(self, cells: tuple[Cell, ...], references: Mapping[str, CampaignFlight]) -> Job:
         if self.campaign.compiled:
-            return LaneJob(self.campaign, cells)
+            return CompiledJob(self.campaign, cells)
         reference = references[self.reference_key(cells[0])]
         return FlightJob(self.campaign, cells, reference, self._folder(cells[0]))
 

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from analysis.search.evaluation.compiled_batch import Batch, ned_velocity
+from analysis.search.evaluation.evaluator import Evaluator
 from analysis.search.shrink import pin_values
 from analysis.search.space.point_scenario import document_of, faults_of
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.yaml_document import without_none, write_yaml
-from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
+from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat, quat_from_euler
 
 
 class WorstCase(NamedTuple):
@@ -21,7 +21,7 @@ class WorstCase(NamedTuple):
     `searched_deg` is the fitness in the search, `error_deg` the mean over fresh noise with its
     standard error `sigma_deg`, `quiet_deg` the error without noise: that of integration and faults
     (None for flights in the simulator). `parts` are the scores of one flight with the simulator's
-    seed `run_seed` from `case_breakdown`. `shrunk` are the values with the smallest fault, if there
+    seed `run_seed`. `shrunk` are the values with the smallest fault, if there
     is any.
     """
 
@@ -181,8 +181,7 @@ def state_lines(test: TestFile, values: dict[str, float]) -> list[str]:
     height, rates = values["initial.height_m"], [values[f"initial.{n}_dps"] for n in "pqr"]
     body = [values[f"initial.{n}_mps"] for n in "uvw"]
     angles = [values[f"initial.{n}_deg"] for n in ("roll", "pitch", "yaw")]
-    q = quat_from_euler(*np.radians(angles))
-    ned = ned_velocity(q[:, None], np.array(body)[:, None])[:, 0]
+    ned = matrix_from_quat(quat_from_euler(*np.radians(angles))) @ body
 
     def row(label: str, numbers: Sequence[float], unit: str) -> str:
         return f"{label:26}" + " ".join(f"{x:10.4f}" for x in numbers) + f"  {unit}"
@@ -223,6 +222,6 @@ def noiseless_error(test: TestFile, values: Mapping[str, float]) -> float | None
     """The error of one case without noise; None for flights in the simulator."""
     if test.simulated:
         return None
-    batch = Batch(without_noise(pin_values(test, values)))
+    batch = Evaluator(without_noise(pin_values(test, values)))
     # A test with fixed values has no dimension: one point, draw number 0.
     return float(batch.evaluate(np.zeros((1, batch.space.dimension)), 0, 0, 1).fitness[0])

@@ -6,7 +6,7 @@ as long as the flight violates the requirement. The result is flown again.
 
 import shlex
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,8 @@ from analysis.report.judging.check_limits import Thresholds
 from analysis.report.log_report import write_report
 from analysis.report.recordings.flight_sources import read_flight
 from analysis.search.archive import Case
+from analysis.search.evaluation.evaluator import Evaluator, seed_of
 from analysis.search.evaluation.point_flight import fly_point, schedule_of, write_scenario
-from analysis.search.evaluation.simulated_batch import SimulatedBatch
-from analysis.search.lanes.noise_kernel import seed_of
 from analysis.search.shrink import Values, drop_faults, shrink_faults
 from analysis.search.space.fault_picks import expand_picks
 from analysis.search.space.point_scenario import document_of
@@ -63,17 +62,16 @@ class _Flights:
     def __init__(self, test: TestFile, number: int, values: Values) -> None:
         self.test, self.number, self.count, self.violating = test, number, 0, [values]
 
-    def violate(self, cases: Sequence[Values]) -> list[bool]:
-        """Fly cases with the same noise; return which of them violate the requirement."""
-        found = [self.fly(values, self.number) for values in cases]
-        self.violating += [values for values, hit in zip(cases, found, strict=True) if hit]
+    def violate(self, values: Values) -> bool:
+        """Fly a case with the noise of the search; return whether it violates the requirement."""
+        found = self.fly(values, self.number)
+        self.violating += [values] if found else []
         return found
 
     def fly(self, values: Values, number: int) -> bool:
         """Fly with the noise of a number; return whether the requirement is violated."""
         self.count += 1
-        scores = SimulatedBatch(self.test).scores(values, self.test.seed, number)
-        return bool(scores.rmse_deg[0] > 0.0)
+        return Evaluator(self.test).scores(values, self.test.seed, number).error > 0.0
 
     def repeat(self) -> tuple[Values, int]:
         """Return the most reduced values that violate in most of `rescore_draws` flights, each with
@@ -88,14 +86,14 @@ class _Flights:
 
 def reduce_case(test: TestFile, case: Case, folder: Path) -> Counterexample:
     """Reduce a case, fly it `rescore_draws` times, and write it to a folder."""
-    point = SimulatedBatch(test).space.values(case.point[None, :])
+    point = Evaluator(test).space.values(case.point[None, :])
     values: Mapping[str, float] = {name: float(value[0]) for name, value in point.items()}
     test, values = expand_picks(test, values)
     flights = _Flights(test, case.number, dict(values))
     values = drop_faults(test, values, flights.violate)
     for name, value in _simpler_values(test, values):
         changed = values | {name: value}
-        values = changed if flights.violate([changed])[0] else values
+        values = changed if flights.violate(changed) else values
     shrink_faults(test, values, flights.violate)
     values, failed = flights.repeat()
     document = document_of(test, values, seed_of(test.seed, case.number))

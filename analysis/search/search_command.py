@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from analysis.flying.worker_pool import WorkerPool, open_worker_pool
 from analysis.report.run_folder import numbered_folder
 from analysis.search.archive import Archive, Case
-from analysis.search.breakdown import case_breakdown
 from analysis.search.cases import (
     Totals,
     WorstCase,
@@ -23,19 +22,18 @@ from analysis.search.cases import (
     write_cases,
 )
 from analysis.search.counterexample import Counterexample, reduce_case
-from analysis.search.evaluation.evaluation_job import evaluate_with, make_evaluator
-from analysis.search.evaluation.evaluator import EvaluationOutcome
+from analysis.search.evaluation.envelope import LIMITS
+from analysis.search.evaluation.evaluation_job import evaluate_with
+from analysis.search.evaluation.evaluator import EvaluationOutcome, Evaluator, seed_of
 from analysis.search.history import RECORD, History
-from analysis.search.lanes import rows
-from analysis.search.lanes.noise_kernel import seed_of
 from analysis.search.searchers import make_searcher
-from analysis.search.shrink import Values, drop_faults, mean_errors, shrink_faults
+from analysis.search.shrink import Values, drop_faults, mean_error, shrink_faults
 from analysis.search.space.test_file import TestFile, read_test
 from analysis.work_progress import WorkProgress
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 
-DEFAULT_BUDGET = 2000  # evaluations: seconds with the compiled kernels
+DEFAULT_BUDGET = 2000  # evaluations: half a minute of compiled flights
 FRESH_SEED_OFFSET = 1_000_003  # added to the seed for noise that the search did not use
 SIMULATOR_BATCH, AUTOPILOT_BATCH = (
     8,
@@ -157,7 +155,7 @@ def search_cases(
     progress: Progress | None,
 ) -> tuple[int, int]:
     """Search until the budget or time is used up; returns the numbers of tests and steps."""
-    dimension = make_evaluator(test).space.dimension
+    dimension = Evaluator(test).space.dimension
     # With a time limit only, the budget is out of reach.
     budget = test.budget or (DEFAULT_BUDGET if test.time_s is None else 10**9)
     # Nothing varies: one evaluation is enough.
@@ -187,7 +185,7 @@ def search_cases(
             records = np.concatenate(parts)
             points = points[: len(records)]
             archive.add(tests, points, records["fitness"])
-            rejected.update(rows.LIMITS[limit] for limit in records["broken_limit"] if limit > 0)
+            rejected.update(LIMITS[limit] for limit in records["broken_limit"] if limit > 0)
             tests += len(points)
             steps += int(records["steps"].sum())
             # An incomplete generation is not reported: methods expect all their points.
@@ -254,11 +252,9 @@ def rescore_cases(
 
 def finish_case(test: TestFile, case: Case, outcome: EvaluationOutcome) -> WorstCase:
     """Complete a case: values by name, error without noise, smallest fault that still breaks."""
-    values = {
-        k: float(v[0]) for k, v in make_evaluator(test).space.values(case.point[None, :]).items()
-    }
+    values = {k: float(v[0]) for k, v in Evaluator(test).space.values(case.point[None, :]).items()}
     error = float(outcome.fitness[0])
-    # The first of its draws, which `case_breakdown` flies.
+    # The first of its draws.
     number = case.number * test.rescore_draws
     worst = WorstCase(
         case.number,
@@ -270,16 +266,16 @@ def finish_case(test: TestFile, case: Case, outcome: EvaluationOutcome) -> Worst
         noiseless_error(test, values),
         tuple(outcome.rmse_deg[0].tolist()),
         seed_of(test.seed + FRESH_SEED_OFFSET, number),
-        case_breakdown(test, values, test.seed + FRESH_SEED_OFFSET, number),
+        Evaluator(test).scores(values, test.seed + FRESH_SEED_OFFSET, number, in_parts=True).parts,
     )
     # Without a limit in the test file: half of the error still counts as broken.
     limit = test.breaks_at_deg if test.breaks_at_deg is not None else 0.5 * error
     if not test.faults or error < limit:
         return worst
 
-    def breaks(cases: list[Values]) -> NDArray[np.bool_]:
-        return mean_errors(test, cases, test.seed + FRESH_SEED_OFFSET) >= limit
+    def breaks(case: Values) -> bool:
+        return mean_error(test, case, test.seed + FRESH_SEED_OFFSET) >= limit
 
     least = shrink_faults(test, drop_faults(test, values, breaks), breaks)
-    (shrunk_deg,) = mean_errors(test, [least], test.seed + FRESH_SEED_OFFSET)
-    return worst._replace(shrunk=least, shrunk_deg=float(shrunk_deg))
+    shrunk_deg = mean_error(test, least, test.seed + FRESH_SEED_OFFSET)
+    return worst._replace(shrunk=least, shrunk_deg=shrunk_deg)

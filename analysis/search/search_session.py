@@ -5,10 +5,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.breakdown import trace_case
 from analysis.search.cases import yaml_of_test
-from analysis.search.evaluation.compiled_batch import Batch
-from analysis.search.evaluation.traced_flight import FlightTrace
+from analysis.search.evaluation.compiled_score import (
+    EstimatedFlight,
+    fly_estimated,
+    score_estimated,
+)
+from analysis.search.evaluation.evaluator import Evaluator, average_draws, seed_of
 from analysis.search.searchers import make_searcher
 from analysis.search.shrink import pin_values
 from analysis.search.space.test_file import TestFile
@@ -34,8 +37,8 @@ class SearchSession:
         self.folder = folder
         self.number = -1
         self.worst = 0.0
-        self._batch = Batch(test)
-        dimension = self._batch.space.dimension
+        self._evaluator = Evaluator(test)
+        dimension = self._evaluator.space.dimension
         # Without a dimension only random search works: its points are the one test.
         self._searcher = make_searcher(
             test.method if dimension else "random", dimension, test.seed, 1
@@ -43,10 +46,10 @@ class SearchSession:
         self._waiting: list[Array] = []
         self._evaluated: list[tuple[Array, float]] = []
         self.values: dict[str, float] = {}
-        self.trace: FlightTrace | None = None
+        self.trace: EstimatedFlight | None = None
         self.error = 0.0
 
-    def next(self) -> FlightTrace:
+    def next(self) -> EstimatedFlight:
         """Fly the next test."""
         # A searcher works in batches: it gets the results when all points of one are flown.
         if not self._waiting:
@@ -57,12 +60,11 @@ class SearchSession:
             self._waiting = list(self._searcher.ask())
         point = self._waiting.pop(0)
         self.number += 1
-        values = self._batch.space.values(point[None, :])
+        values = self._evaluator.space.values(point[None, :])
         self.values = {name: float(value[0]) for name, value in values.items()}
-        self.trace = trace_case(self.test, self.values, self.test.seed, self.number)
-        # Flown twice: the trace for display, the batch for the same fitness as in `search`.
-        outcome = self._batch.evaluate(point[None, :], self.test.seed, self.number, 1)
-        self.error = float(outcome.fitness[0])
+        self.trace = fly_estimated(self.test, self.values, seed_of(self.test.seed, self.number))
+        scores = score_estimated(self.test, self.trace)
+        self.error = float(average_draws([scores], 1, self.test.duration_s).fitness[0])
         self.worst = max(self.worst, self.error)
         self._evaluated.append((point, self.error))
         return self.trace
@@ -81,7 +83,7 @@ class SearchSession:
 
     def ranges(self) -> dict[str, tuple[float, float]]:
         """The range of each searched value; fixed values are left out."""
-        space = self._batch.space
+        space = self._evaluator.space
         ends = zip(space.low.tolist(), space.high.tolist(), strict=True)
         return dict(zip(space.names, ends, strict=True))
 
@@ -96,16 +98,8 @@ class SearchSession:
         return [table, case]
 
 
-def table_of(trace: FlightTrace) -> Array:
+def table_of(trace: EstimatedFlight) -> Array:
     """The time series (n, 22) with the columns of COLUMNS."""
-    euler = euler_from_quat(trace.state[:, 6:10])
-    return np.column_stack(
-        [
-            trace.t_s,
-            trace.state[:, :6],
-            euler,
-            trace.state[:, 10:13],
-            trace.measured[:, :6],
-            euler_from_quat(trace.q_estimate),
-        ]
-    )
+    euler = euler_from_quat(trace.truth[:, 6:10])
+    columns = (trace.t_s, trace.truth[:, :6], euler, trace.truth[:, 10:13], trace.imu)
+    return np.column_stack([*columns, euler_from_quat(trace.q_nb)])

@@ -1,21 +1,20 @@
 """Shrink a case to the smallest faults with which it still breaks the estimator or a requirement.
 
 Delta debugging [1]_: faults are dropped, then the value and duration of each in turn is reduced
-toward no fault. The error need not grow monotonically with a fault, so the compiled kernels
-evaluate a grid, then a finer one in the interval where the case breaks; slow flights bisect.
+toward no fault, by bisection; the error need not grow monotonically with a fault, so a smaller one
+may break too.
 
 References
 ----------
 .. [1] Zeller and Hildebrandt, IEEE Transactions on Software Engineering 28(2), 2002.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.search.evaluation.evaluation_job import make_evaluator
+from analysis.search.evaluation.evaluator import Evaluator
 from analysis.search.space.dimensions import target_of
 from analysis.search.space.fault_range import healthy_value
 from analysis.search.space.test_file import (
@@ -27,11 +26,9 @@ from analysis.search.space.test_file import (
     TestFile,
 )
 
-Array = NDArray[np.float64]
 Values = dict[str, float]
-Breaks = Callable[[list[Values]], Sequence[bool] | NDArray[np.bool_]]  # which of some cases break
-# Intervals of a grid, and refinements; chosen: to 1/144, and to 1/8 in three slow flights.
-KERNEL_GRID, SIMULATOR_GRID = (12, 2), (2, 3)
+Breaks = Callable[[Values], bool]  # whether a case breaks
+COMPILED_ROUNDS, PROXIED_ROUNDS = 7, 3  # halvings; chosen: to 1/128, and to 1/8 in slow flights
 
 
 def pin_values(test: TestFile, values: Mapping[str, float]) -> TestFile:
@@ -69,8 +66,8 @@ def fault_names(test: TestFile) -> list[str]:
     ]
 
 
-def scale_toward_none(test: TestFile, name: str, value: float, share: Array) -> Array:
-    """Values (n,) between no fault (share 0) and `value` (share 1)."""
+def scale_toward_none(test: TestFile, name: str, value: float, share: float) -> float:
+    """The value between no fault (share 0) and `value` (share 1)."""
     index = int(name[len("faults[") : name.index("]")])
     healthy = healthy_value(test.faults[index].fault) if name.endswith(".value") else 0.0
     if name.endswith(".for_s"):
@@ -84,34 +81,28 @@ def drop_faults(test: TestFile, values: Mapping[str, float], breaks: Breaks) -> 
     fewer = dict(values)
     for i in range(len(test.faults)):
         absent = fewer | {f"faults[{i}].for_s": 0.0}
-        fewer = absent if breaks([absent])[0] else fewer
+        fewer = absent if breaks(absent) else fewer
     return fewer
 
 
 def shrink_faults(test: TestFile, values: Mapping[str, float], breaks: Breaks) -> Values:
     """The values with the smallest magnitudes and durations found that still break."""
     smallest = dict(values)
-    grid, rounds = SIMULATOR_GRID if test.simulated else KERNEL_GRID
     for name in fault_names(test):
         # A dropped fault has no size.
         if smallest.get(f"{name.partition('.')[0]}.for_s") == 0.0:
             continue
         low, high = 0.0, 1.0
-        for _ in range(rounds):
-            share = np.linspace(low, high, grid + 1)
-            scaled = scale_toward_none(test, name, values[name], share)
-            # The ends are known. The first that breaks; larger values need not all break.
-            broken = breaks([smallest | {name: float(value)} for value in scaled[1:-1]])
-            k = 1 + int(np.argmax([*broken, True]))
-            low, high = float(share[k - 1]), float(share[k])
-        smallest[name] = float(scale_toward_none(test, name, values[name], np.array([high]))[0])
+        for _ in range(PROXIED_ROUNDS if test.simulated else COMPILED_ROUNDS):
+            middle = 0.5 * (low + high)
+            scaled = scale_toward_none(test, name, values[name], middle)
+            low, high = (low, middle) if breaks(smallest | {name: scaled}) else (middle, high)
+        smallest[name] = scale_toward_none(test, name, values[name], high)
     return smallest
 
 
-def mean_errors(test: TestFile, cases: Sequence[Values], seed: int) -> Array:
-    """Mean errors of cases with the same noise; -inf outside the envelope."""
-    # The same noise for all cases: only the faults differ.
-    columns = {name: np.array([case[name] for case in cases]) for name in cases[0]}
-    evaluator = make_evaluator(test)
-    outcome = evaluator.evaluate_values(columns, seed, 0, test.noise_draws, True)
-    return np.where(outcome.broken_limit > 0, -np.inf, outcome.fitness)
+def mean_error(test: TestFile, case: Values, seed: int) -> float:
+    """The mean error of a case, with the same noise for all cases; -inf outside the envelope."""
+    columns = {name: np.array([value]) for name, value in case.items()}
+    outcome = Evaluator(test).evaluate_values(columns, seed, 0, test.noise_draws)
+    return -np.inf if outcome.broken_limit[0] > 0 else float(outcome.fitness[0])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from analysis.search.search_session import SearchSession
 from analysis.search.shrink import pin_values
+from analysis.search.space.airframe import has_rotors
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
 MAX_SAMPLES = 12_000  # samples sent to the page; longer flights are thinned
@@ -17,28 +18,26 @@ Array = NDArray[np.float64]
 
 
 def flight_data(session: SearchSession) -> bytes:
-    """The displayed flight as JSON, up to where it left the envelope."""
+    """The displayed flight as JSON."""
     trace = session.trace
     assert trace is not None
-    count = max(int(trace.alive.sum()), 1)
-    step = math.ceil(count / MAX_SAMPLES)
-    state = trace.state[:count]
+    step, state = math.ceil(len(trace.truth) / MAX_SAMPLES), trace.truth
     # Unwrapped, so that a heading through north draws no vertical line.
     truth = np.degrees(np.unwrap(euler_from_quat(state[:, 6:10]), axis=0))
-    error = np.degrees(trace.errors_rad()[:count])
+    error = np.degrees(trace.error_rad)
     begin = state[0, :3]
     columns = {
-        "t": trace.t_s[:count, None],
+        "t": trace.t_s[:, None],
         "truth": truth,
         # Truth plus error: the estimate stays close to the unwrapped truth.
         "estimate": truth + error[:, :3],
         "error": error[:, :3],
-        "gyro": np.degrees(trace.measured[:count, 0:3]),
-        "accel": trace.measured[:count, 3:6],
+        "gyro": np.degrees(trace.imu[:, :3]),
+        "accel": trace.imu[:, 3:],
         "path": np.column_stack([state[:, 1], state[:, 0], -state[:, 2]])
         - [begin[1], begin[0], -begin[2]],
         "q": state[:, 6:10],
-        "believed": trace.q_estimate[:count],
+        "believed": trace.q_nb,
     }
     flight: dict[str, Any] = {
         name: rounded_columns(values[::step]) for name, values in columns.items()
@@ -48,7 +47,7 @@ def flight_data(session: SearchSession) -> bytes:
             **flight,
             "number": session.number,
             "title": session.title,
-            "rotors": trace.plan.rotors,
+            "rotors": has_rotors(session.test.vehicle),
             "step": step,
             "parameters": parameters_of(session),
             "faults": [

@@ -25,7 +25,7 @@ def make_flights(test: TestFile, folder: Path) -> Flights:
     """
     if test.simulated:
         raise ConfigError(
-            "--interactive: shows only flights of the compiled kernels; leave out scenario, choose"
+            "--interactive: shows only compiled flights; leave out scenario, choose"
             " another estimator than autopilot or fusion"
         )
     return Flights(SearchSession(test, folder))

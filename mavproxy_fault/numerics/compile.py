@@ -32,7 +32,7 @@ from mavproxy_fault.numerics.code_cache import (
 
 LOG = logging.getLogger(__name__)
 
-# Level 1 takes half the time to compile, and plain loops and lanes run as fast. Fast mathematics is
+# Level 1 takes half the time to compile, and plain loops run as fast. Fast mathematics is
 # left out: fused multiply-add gains a fifth, but what it rounds depends on what was inlined where,
 # and a first run, which compiles, would give other last bits than the runs after it.
 LEVEL = type(config.OPT)(1)
@@ -189,5 +189,5 @@ def unlocked(function: Function) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """Compile a function for compiled callers, always inlined, so that their loops vectorise."""
+    """Compile a function for compiled callers, always inlined."""
     return _jitted(function, forceinline=True)

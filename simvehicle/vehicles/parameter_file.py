@@ -1,6 +1,7 @@
 """The common part of vehicle parameter files: location, mass, gear and battery."""
 
 from collections.abc import Mapping
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import TypeVar
@@ -9,7 +10,7 @@ import msgspec
 
 from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.yaml_document import read_document
+from mavproxy_fault.documents.yaml_document import Document, read_document
 from simvehicle.vehicles.battery_kernel import BatterySupply
 from simvehicle.vehicles.rigidbody_kernel import Inertia, inertia_coefficients
 
@@ -104,4 +105,16 @@ def read_parameters(name: str | Path, kind: type[T]) -> T:
     ConfigError
         If there is no such set or file, or its content is invalid.
     """
-    return decode(read_document(parameter_path(name)), kind)
+    return decode(parameter_document(name), kind)
+
+
+def parameter_document(name: str | Path) -> Document:
+    """Read a shipped parameter set or a file, before its content is checked; raises as
+    `read_parameters` does."""
+    path = parameter_path(name)
+    return _document_at(path, path.stat().st_mtime_ns if path.is_file() else 0)
+
+
+@lru_cache(maxsize=8)  # a third of the time of a search's flight would go to the file
+def _document_at(path: Path, _changed_ns: int) -> Document:
+    return read_document(path)

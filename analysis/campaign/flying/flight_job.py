@@ -11,6 +11,7 @@ import msgspec
 
 from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.cell import HEALTHY, Cell, CellResult
+from analysis.campaign.flying.compiled_cells import run_compiled
 from analysis.campaign.outcomes import ABORTED, classify_flight, outcome_rank
 from analysis.estimators import estimator_names
 from analysis.flying.flight_evidence import CampaignFlight, Evidence
@@ -80,18 +81,15 @@ class FlightJob:
 
 
 @dataclass(frozen=True)
-class LaneJob:
+class CompiledJob:
     """A batch of compiled flights: cells of one subject, scenario, fault and seed."""
 
     campaign: CampaignFile
     cells: tuple[Cell, ...]
 
     def run(self) -> "JobAnswer":
-        """Fly the batch in this process; raises as `run_lanes` does."""
-        # Imported here: flights in the simulator do not need the search's kernels.
-        from analysis.campaign.flying.compiled_lanes import run_lanes
-
-        return JobAnswer(run_lanes(self.campaign, self.cells))
+        """Fly the batch in this process; raises as `run_compiled` does."""
+        return JobAnswer(run_compiled(self.campaign, self.cells))
 
 
 @dataclass(frozen=True)
@@ -102,7 +100,7 @@ class JobAnswer:
     flight: CampaignFlight | None = None
 
 
-Job = FlightJob | LaneJob
+Job = FlightJob | CompiledJob
 
 
 def _interesting(results: list[CellResult]) -> bool:

@@ -10,19 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.flying.worker_pool import WorkerPool, run_jobs
-from analysis.search.evaluation.compiled_batch import Batch
 from analysis.search.evaluation.evaluator import EvaluationOutcome, Evaluator
 from analysis.search.space.test_file import TestFile
-
-
-def make_evaluator(test: TestFile) -> Evaluator:
-    """Create the evaluator of a test."""
-    # The simulator's parts are loaded for tests that need them.
-    if test.simulated:
-        from analysis.search.evaluation.simulated_batch import SimulatedBatch
-
-        return SimulatedBatch(test)
-    return Batch(test)
 
 
 class EvaluationJob(NamedTuple):
@@ -42,7 +31,7 @@ class EvaluationJob(NamedTuple):
 @lru_cache(maxsize=8)
 def cached_evaluator(encoded: bytes) -> Evaluator:
     """The evaluator of a test in JSON; cached, since reading the airframe takes time."""
-    return make_evaluator(msgspec.json.decode(encoded, type=TestFile))
+    return Evaluator(msgspec.json.decode(encoded, type=TestFile))
 
 
 def evaluate_with(

@@ -1,15 +1,28 @@
-"""The contract of both evaluators of a test: the compiled kernels, and the simulator."""
+"""Evaluation of a test's points: fly them, in the simulator or under an autopilot, and score."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.search.space.dimensions import Space
+from analysis.scoring.attitude_scores import AXES
+from analysis.search.evaluation.compiled_score import score_compiled
+from analysis.search.evaluation.envelope import violated_limit
+from analysis.search.evaluation.flight_scores import FlightScores
+from analysis.search.evaluation.point_flight import fly_point
+from analysis.search.space.airframe import has_rotors, read_airframe, trim_values
+from analysis.search.space.dimensions import Space, fault_entries, flight_entries, space_of
+from analysis.search.space.point_scenario import Document, document_of
+from analysis.search.space.section import Range
 from analysis.search.space.test_file import TestFile
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.schedule.entries import parse_schedule
+from simvehicle.scenario.scenario_file import Scenario
+from simvehicle.vehicles.body import Truth
 
 Array = NDArray[np.float64]
 
@@ -19,11 +32,9 @@ class EvaluationOutcome(NamedTuple):
 
     `fitness` (n,) is the criterion in its unit (`TestFile.unit`), or, where the flight left the
     envelope, minus the share of the time that remained (-1 to 0); `spread_deg` (n,) is its standard
-    deviation over the noise draws. `rmse_deg` and `largest_deg` (n, 4): roll, pitch, yaw, angle (in
-    the kernels 0 unless the criterion is the angle), means over the noise draws. `broken_limit`
-    (n,): indices into `rows.LIMITS`; `steps` flown and scored in total. `inverted_rmse` (n, 3):
-    height [m], airspeed [m/s] and position [m] of the inverted sensor models, where the criterion
-    is one of them.
+    deviation over the noise draws. `rmse_deg` and `largest_deg` (n, 4): roll, pitch, yaw, angle,
+    means over the noise draws. `broken_limit` (n,): indices into `envelope.LIMITS`; `steps` flown
+    and scored in total.
     """
 
     fitness: Array
@@ -32,53 +43,24 @@ class EvaluationOutcome(NamedTuple):
     largest_deg: Array
     broken_limit: NDArray[np.int64]
     steps: int
-    inverted_rmse: Array
-
-
-def average_draws(
-    worst: Array, rmse_deg: Array, largest_deg: Array, limit: Array, lasted: Array, steps: int,
-    inverted: Array | None = None,
-) -> EvaluationOutcome:  # fmt: skip
-    """The outcome of n evaluations of some draws: criterion, limit and share of the time flown
-    (n, draws), errors (n, draws, 4), and (n, draws, 3) those of inverted models."""
-    # One limit for all draws: one violation is enough.
-    broken = limit.max(axis=1).astype(np.int64)
-    # From -1 to 0: longer flights score better, which leads a search back into the envelope.
-    fitness = np.where(broken > 0, np.minimum(lasted.min(axis=1), 1.0) - 1.0, worst.mean(axis=1))
-    return EvaluationOutcome(
-        # An estimator that diverges to NaN cannot be ranked.
-        np.nan_to_num(fitness, nan=-1.0),
-        worst.std(axis=1),
-        rmse_deg.mean(axis=1),
-        largest_deg.mean(axis=1),
-        broken,
-        steps,
-        np.zeros((len(worst), 3)) if inverted is None else inverted.mean(axis=1),
-    )
 
 
 @dataclass(frozen=True)
-class Evaluator(ABC):
+class Evaluator:
     """The same points, seed and numbers give the same outcome (an autopilot's may vary)."""
 
     test: TestFile
 
-    @property
-    @abstractmethod
+    @cached_property
     def space(self) -> Space:
         """The search space."""
-
-    @abstractmethod
-    def evaluate_values(
-        self,
-        values: Mapping[str, Array],
-        seed: int,
-        first: int,
-        draws: int,
-        same_noise: bool = False,
-    ) -> EvaluationOutcome:
-        """Fly values (n,) by name, `draws` times each; with the same noise for all if
-        `same_noise`. `first` is the number of the first evaluation."""
+        # The varied numbers of the scenario, by path.
+        entries: dict[str, Range] = {f"vary.{name}": ends for name, ends in self.test.vary.items()}
+        if self.test.scenario is None:
+            airframe = read_airframe(self.test.vehicle)
+            trim = trim_values(airframe, self.test.density_kgpm3)
+            entries = flight_entries(self.test, trim)
+        return space_of(entries | fault_entries(self.test))
 
     def evaluate(
         self, points: Array, seed: int, first: int, draws: int | None = None
@@ -86,3 +68,102 @@ class Evaluator(ABC):
         """Fly points (n, d) of the unit cube, each with its own noise, by seed and number."""
         draws = self.test.noise_draws if draws is None else draws
         return self.evaluate_values(self.space.values(points), seed, first, draws)
+
+    def evaluate_values(
+        self,
+        values: Mapping[str, Array],
+        seed: int,
+        first: int,
+        draws: int,
+    ) -> EvaluationOutcome:
+        """Fly values (n,) by name, `draws` times each; `first` is the number of the first
+        evaluation."""
+        flights = []
+        for i in range(len(next(iter(values.values())))):
+            one = {name: float(column[i]) for name, column in values.items()}
+            # By their numbers, splitting the work changes nothing.
+            number = (first + i) * draws
+            flights += [self.scores(one, seed, number + draw) for draw in range(draws)]
+        return average_draws(flights, draws, self.test.duration_s)
+
+    def scores(
+        self, values: Mapping[str, float], seed: int, number: int, in_parts: bool = False
+    ) -> FlightScores:
+        """Score one flight with noise `number` of `seed`; `in_parts` as `FlightScores` says."""
+        test, seed = self.test, seed_of(seed, number)
+        if test.simulated:
+            return score_flight(test, document_of(test, values, seed))
+        return score_compiled(test, values, seed, in_parts)
+
+
+def seed_of(seed: int, number: int) -> int:
+    """The simulator's seed of a flight."""
+    return int(np.random.SeedSequence([seed, number]).generate_state(1)[0] >> 1)
+
+
+def average_draws(flights: list[FlightScores], draws: int, duration_s: float) -> EvaluationOutcome:
+    """The outcome of evaluations of some draws each, in order."""
+    error, rmse, largest, lasted_s, limit, steps = (
+        np.array([getattr(one, name) for one in flights])
+        for name in ("error", "rmse_deg", "largest_deg", "lasted_s", "broken_limit", "steps")
+    )
+    error, lasted = error.reshape(-1, draws), (lasted_s / duration_s).reshape(-1, draws)
+    # One limit for all draws: one violation is enough.
+    broken = limit.reshape(-1, draws).max(axis=1)
+    # From -1 to 0: longer flights score better, which leads a search back into the envelope.
+    fitness = np.where(broken > 0, np.minimum(lasted.min(axis=1), 1.0) - 1.0, error.mean(axis=1))
+    return EvaluationOutcome(
+        # An estimator that diverges to NaN cannot be ranked.
+        np.nan_to_num(fitness, nan=-1.0),
+        error.std(axis=1),
+        rmse.reshape(-1, draws, 4).mean(axis=1),
+        largest.reshape(-1, draws, 4).mean(axis=1),
+        broken,
+        int(steps.sum()),
+    )
+
+
+def check_document(document: Document) -> None:
+    """Decode a scenario and its faults.
+
+    Raises
+    ------
+    ConfigError
+        If one of the drawn values is not allowed there.
+    """
+    where = f"the scenario {document.get('name', '')!r}"
+    try:
+        # Built by the program and not read from a file: errors have no line numbers.
+        scenario = msgspec.convert(document, Scenario)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{where}: {error}; narrow its range in vary") from error
+    parse_schedule({"seed": scenario.seed, **document["schedule"]}, where)
+
+
+def score_flight(test: TestFile, document: Document) -> FlightScores:
+    """Fly a scenario through the proxy until its end or until it leaves the envelope, and score the
+    estimator, or how far the requirement is violated."""
+    check_document(document)
+    hovers, broken_limit = test.scenario is None and has_rotors(test.vehicle), 0
+
+    def leaves(truth: Truth) -> bool:
+        nonlocal broken_limit
+        broken_limit = violated_limit(truth, test.envelope, hovers)
+        return broken_limit > 0
+
+    parts: dict[str, Any]
+    if test.violate is not None:
+        flight = fly_point(test, document)
+        (found,) = flight.requirements[test.estimator]
+        rmse = largest = np.full(4, -found.fitness)
+        parts = {"requirement": msgspec.to_builtins(found), "behaviour": flight.behaviour}
+    else:
+        flight = fly_point(test, document, stop=leaves)
+        parts = flight.attitude.get(test.estimator, {})
+        rmse, largest = (
+            np.array([parts.get(key, {}).get(axis, 0.0) for axis in AXES])
+            for key in ("rmse_deg", "max_deg")
+        )
+    steps = round(flight.duration_s / test.dt_s)
+    error = float(rmse[3] if test.criterion == "angle" else rmse[:3].max())
+    return FlightScores(error, rmse, largest, flight.duration_s, broken_limit, steps, parts)

@@ -6,14 +6,13 @@ from typing import Any
 import numpy as np
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.fixedwing.fixedwing_flight import ELEVATOR, THROTTLE
 from simvehicle.vehicles.fixedwing.trim import PITCH
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.multirotor.sway_kernel import MOTOR_COUNT
-from simvehicle.vehicles.parameter_file import parameter_path
+from simvehicle.vehicles.parameter_file import parameter_document
 from simvehicle.vehicles.rigidbody_kernel import U, W
 
 Airframe = FixedWing | Multirotor
@@ -21,7 +20,7 @@ Airframe = FixedWing | Multirotor
 
 def has_rotors(name: str) -> bool:
     """Whether a parameter set is a multirotor's; raises like `read_airframe`."""
-    data: Any = read_document(parameter_path(name)).data
+    data: Any = parameter_document(name).data
     return isinstance(data, Mapping) and "rotors" in data
 
 

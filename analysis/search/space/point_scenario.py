@@ -10,13 +10,15 @@ from analysis.flying.onset import onset_keys
 from analysis.search.space.airframe import has_rotors
 from analysis.search.space.dimensions import target_of
 from analysis.search.space.fault_picks import expand_picks
-from analysis.search.space.fault_range import LATITUDE_DEG, healthy_value
+from analysis.search.space.fault_range import healthy_value
 from analysis.search.space.test_file import AUTOPILOT, TestFile
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.environment.air import SEA_LEVEL_K, SEA_LEVEL_PA
 from simvehicle.scenario.changed_scenario import with_value
 
 Document = dict[str, Any]
+# Of compiled flights: normal gravity at sea level is 9.80665 m/s^2 there (WGS 84).
+LATITUDE_DEG = 45.497
 # Usual sample rates of GPS receiver, magnetometer and pressure sensors on a small aircraft.
 GPS_HZ, FIELD_HZ, PRESSURE_HZ = 5.0, 25.0, 10.0
 

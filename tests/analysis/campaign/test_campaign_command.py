@@ -24,7 +24,7 @@ from analysis.campaign.results.outcome_grid import severity_key
 from analysis.campaign.results_store import read_campaign_folder
 from analysis.flying.flight_evidence import CellVerdict, monitor_verdict
 from analysis.results import read_results
-from analysis.search.evaluation.simulated_batch import SimulatedBatch
+from analysis.search.evaluation.evaluator import Evaluator
 from analysis.search.space.test_file import read_test
 from mavproxy_fault import cli
 from mavproxy_fault.documents.errors import ConfigError
@@ -191,7 +191,7 @@ def test_the_worst_cell_becomes_a_search_around_it(campaign_folder: Path, capsys
     assert (fault.at_s, fault.for_s) == ((0.0, 4.0), (1.0, 4.0))
     # The middle of the search's space is the cell's own flight.
     assert test.scenario is not None
-    assert SimulatedBatch(test).space.names == (
+    assert Evaluator(test).space.names == (
         "faults[0].value",
         "faults[0].at_s",
         "faults[0].for_s",

@@ -8,7 +8,8 @@ from analysis.campaign.cell import CellResult
 from analysis.flying.flight_evidence import CampaignFlight
 
 SMALL = read_campaign(Path(__file__).parent / "small.yaml")
-LANES = read_campaign(Path(__file__).resolve().parents[3] / "examples" / "campaign_lanes.yaml")
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
+COMPILED = read_campaign(EXAMPLES / "campaign_compiled.yaml")
 TWINS = {"ekf|short.yaml|1": CampaignFlight({}), "mahony|short.yaml|1": CampaignFlight({})}
 
 
@@ -21,7 +22,7 @@ def test_the_size_of_a_campaign_is_its_product() -> None:
     plan = CampaignPlan(twice)
     assert (plan.max_cells, plan.max_flights, len(plan.reference_jobs())) == (24, 12, 3)
     assert plan.flight_s == 6.0
-    assert CampaignPlan(LANES).max_cells == 100_000
+    assert CampaignPlan(COMPILED).max_cells == 100_000
 
 
 def test_subjects_of_the_simulator_share_their_flights() -> None:
@@ -56,8 +57,8 @@ def test_a_flight_with_missing_results_is_repeated_for_the_missing_subject() -> 
     assert [cell.subject for cell in job.cells] == ["mahony"]
 
 
-def test_a_batch_of_lanes_has_one_subject_fault_and_seed() -> None:
-    jobs = [next(sequence) for sequence in CampaignPlan(LANES).job_sequences({}, {})]
+def test_a_batch_of_compiled_cells_has_one_subject_fault_and_seed() -> None:
+    jobs = [next(sequence) for sequence in CampaignPlan(COMPILED).job_sequences({}, {})]
     assert sum(len(job.cells) for job in jobs) == 100_000
     for job in jobs:
         assert len({(c.subject, c.scenario, c.fault, c.seed) for c in job.cells}) == 1

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from analysis.flying.worker_pool import RayWorkerPool
-from analysis.search.evaluation.compiled_batch import Batch
 from analysis.search.evaluation.evaluation_job import EvaluationJob, evaluate_with
+from analysis.search.evaluation.evaluator import Evaluator
 from analysis.search.space.test_file import InitialState, TestFile
 
 ray = pytest.importorskip("ray", reason="Ray is not installed")
@@ -47,7 +47,7 @@ def test_a_killed_worker_changes_nothing(tmp_path, monkeypatch):
         cluster.close()
         ray.shutdown()
     assert marker.exists()
-    alone = Batch(TEST).evaluate(points, 1, 0, 2)
+    alone = Evaluator(TEST).evaluate(points, 1, 0, 2)
     assert found.fitness.tolist() == alone.fitness.tolist()
     assert found.steps == alone.steps
 

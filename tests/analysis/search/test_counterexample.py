@@ -78,7 +78,7 @@ def test_a_case_that_violates_in_few_of_its_repeated_flights_is_reduced_less(
     monkeypatch.setattr(
         flights, "fly", lambda one, n: one["size"] > 1.5 or (one["size"] > 0.5 and n == 0)
     )
-    assert flights.violate([{"size": 2.0}, {"size": 0.5}, {"size": 1.0}]) == [True, False, True]
+    assert [flights.violate({"size": size}) for size in (2.0, 0.5, 1.0)] == [True, False, True]
     assert flights.repeat() == ({"size": 2.0}, 2)  # 1.0 does in one of two
 
 

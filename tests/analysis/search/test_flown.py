@@ -1,4 +1,4 @@
-"""Flights in the simulator: the kernels' own, scenarios of any kind, and cases as files."""
+"""Flights through the proxy: scenarios of any kind, and cases as files."""
 
 import msgspec
 import numpy as np
@@ -12,8 +12,7 @@ from analysis.flying.worker_pool import InProcessPool
 from analysis.run.run_setup import read_setup
 from analysis.scoring.attitude_scoring import AttitudeConfig
 from analysis.search.cases import write_cases
-from analysis.search.evaluation.compiled_batch import Batch
-from analysis.search.evaluation.simulated_batch import SimulatedBatch, score_flight
+from analysis.search.evaluation.evaluator import Evaluator
 from analysis.search.search_command import run_search
 from analysis.search.space.point_scenario import document_of
 from analysis.search.space.test_file import (
@@ -22,7 +21,6 @@ from analysis.search.space.test_file import (
     Mission,
     SearchControls,
     SearchSensors,
-    SteadyWind,
     TestFile,
     read_test,
 )
@@ -57,22 +55,6 @@ faults:
 """
 
 
-@pytest.mark.parametrize("name", ["inverse-model", "mahony", "ekf"])
-def test_the_simulator_and_the_proxy_give_the_kernels_error(name):
-    test = TestFile(
-        estimator=name,
-        duration_s=10.0,
-        noise_draws=1,
-        initial=InitialState(height_m=2000.0),
-        mission=Mission(roll_deg=35.0, period_s=12.0),
-        sensors=QUIET,
-        faults=[BIAS],
-    )
-    kernel = Batch(test).evaluate(np.zeros((1, 0)), 1, 0).rmse_deg[0, :3]
-    flown = score_flight(test, document_of(test, Batch(test).space.fixed, 1)).rmse_deg[:3]
-    assert flown == pytest.approx(kernel, rel=0.07, abs=0.03)
-
-
 def test_a_worst_case_is_a_scenario_that_run_flies_to_the_same_error(tmp_path):
     test = TestFile(
         duration_s=5.0,
@@ -104,7 +86,7 @@ def test_a_scenario_of_any_kind_is_searched_with_any_fault(tmp_path):
     (tmp_path / "quad.yaml").write_text(SCENARIO)
     (tmp_path / "search.yaml").write_text(SEARCH)
     test = read_test(tmp_path / "search.yaml")
-    assert SimulatedBatch(test).space.names == (
+    assert Evaluator(test).space.names == (
         "vary.environment.wind_ned_mps[0]",
         "vary.start.heading_deg",
         "faults[0].at_s",
@@ -147,7 +129,7 @@ def test_a_key_that_the_scenario_does_not_have_is_the_users_error(tmp_path):
     with pytest.raises(
         ConfigError, match=r"vary.start.heigt_m: heigt_m is unknown; known: lat_deg"
     ):
-        SimulatedBatch(read_test(tmp_path / "search.yaml")).evaluate(np.zeros((1, 1)), 1, 0)
+        Evaluator(read_test(tmp_path / "search.yaml")).evaluate(np.zeros((1, 1)), 1, 0)
 
 
 def test_the_projects_own_fusion_is_searched():
@@ -160,38 +142,14 @@ def test_the_projects_own_fusion_is_searched():
         mission=Mission(),
         faults=[BIAS],
     )
-    outcome = SimulatedBatch(test).evaluate(np.zeros((1, 0)), 1, 0)
+    outcome = Evaluator(test).evaluate(np.zeros((1, 0)), 1, 0)
     assert outcome.broken_limit[0] == 0
     assert 0.0 < outcome.fitness[0] < 10.0
 
 
 def test_a_fault_that_lasts_no_time_is_left_out_of_the_scenario():
     test = TestFile(duration_s=5.0, faults=[BIAS], initial=InitialState(height_m=500.0))
-    values = dict(Batch(test).space.fixed)
+    values = dict(Evaluator(test).space.fixed)
     assert len(document_of(test, values, 1)["schedule"]["faults"]) == 1
     values["faults[0].for_s"] = 0.0
     assert document_of(test, values, 1)["schedule"]["faults"] == []
-
-
-# Until it hears of GPS the EKF takes the specific force for gravity: in the kernels that is a
-# fifth of a second longer, which shows while a wind sets a standing quadrotor moving.
-@pytest.mark.parametrize(
-    ("name", "wind_mps"), [("inverse-model", 4.0), ("mahony", 4.0), ("ekf", 0.0)]
-)
-def test_a_quadrotor_of_the_kernels_flies_as_the_simulators(name: str, wind_mps: float) -> None:
-    test = TestFile(
-        vehicle="iris",
-        estimator=name,
-        duration_s=10.0,
-        noise_draws=1,
-        initial=InitialState(height_m=60.0, yaw_deg=30.0),
-        mission=Mission(roll_deg=15.0, period_s=5.0),
-        wind=SteadyWind(north_mps=wind_mps),
-        sensors=QUIET,
-        faults=[BIAS],
-    )
-    batch = Batch(test)
-    kernel = batch.evaluate(np.zeros((1, 0)), 1, 0)
-    assert kernel.broken_limit[0] == 0
-    flown = score_flight(test, document_of(test, batch.space.fixed, 1)).rmse_deg[:3]
-    assert flown == pytest.approx(kernel.rmse_deg[0, :3], rel=0.07, abs=0.03)

@@ -97,9 +97,7 @@ def test_the_page_responds_while_a_test_is_in_flight(tmp_path: Path) -> None:
 
 
 def test_a_test_for_the_simulator_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        ConfigError, match="--interactive: shows only flights of the compiled kernels"
-    ):
+    with pytest.raises(ConfigError, match="--interactive: shows only compiled flights"):
         make_flights(TestFile(estimator="fusion"), tmp_path)
 
 

@@ -12,7 +12,6 @@ from mavproxy_fault.numerics.rotations import (
     one_rotation,
     rotation,
     rotation_kernel,
-    rotation_lanes,
 )
 
 ANGLES = st.tuples(*(st.floats(-3.1, 3.1), st.floats(-1.5, 1.5), st.floats(-3.1, 3.1)))
@@ -43,11 +42,6 @@ def test_angles_and_small_rotations_are_the_same_in_every_implementation(
     q = rotation.quat_from_euler(*angles)
     for found in (rotation_kernel.euler_of_quaternion(q), one_rotation.euler_angles(q.tolist())):
         assert found == pytest.approx(rotation.euler_from_quat(q).tolist(), abs=1e-12)
-    assert rotation_lanes.euler_of_quaternion(*q.tolist()) == pytest.approx(angles, abs=1e-7)
-    assert rotation_lanes.quaternion_of_euler(*angles) == pytest.approx(q, abs=1e-7)
-    assert rotation_lanes.wrap_angle(angles[0] + 4.0 * math.pi) == pytest.approx(
-        angles[0], abs=1e-12
-    )
     before, turned = Rotation.from_quat(np.roll(q, -1)), Rotation.from_rotvec(turn)
     after = rotation_kernel.rotate_attitude(q, *turn)
     assert rotation.matrix_from_quat(after) == pytest.approx(

@@ -3,7 +3,7 @@ import pytest
 
 from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.cell import Cell
-from analysis.campaign.flying.compiled_lanes import run_lanes
+from analysis.campaign.flying.compiled_cells import run_compiled
 from mavproxy_fault.documents.errors import ConfigError
 
 GYRO = {"id": "gyro", "fault": "bias", "target": "HIL_SENSOR.xgyro", "magnitudes": [0.1]}
@@ -24,7 +24,7 @@ def cells(*magnitudes: float) -> list[Cell]:
 
 
 def test_a_larger_fault_gives_a_larger_excursion_and_a_zero_fault_none() -> None:
-    none, small, large = run_lanes(campaign(), cells(0.0, 0.05, 2.0))
+    none, small, large = run_compiled(campaign(), cells(0.0, 0.05, 2.0))
     assert none.excursion_deg == 0.0
     assert none.outcome == "unaffected"
     assert 0.0 < small.excursion_deg < large.excursion_deg
@@ -32,11 +32,11 @@ def test_a_larger_fault_gives_a_larger_excursion_and_a_zero_fault_none() -> None
 
 
 def test_a_cell_has_the_same_result_alone_and_in_a_batch() -> None:
-    (alone,) = run_lanes(campaign(), cells(0.3))
-    among = run_lanes(campaign(), cells(*[0.1] * 40, 0.3))[-1]
+    (alone,) = run_compiled(campaign(), cells(0.3))
+    among = run_compiled(campaign(), cells(*[0.1] * 40, 0.3))[-1]
     assert alone.excursion_deg == among.excursion_deg
 
 
 def test_a_fault_without_compiled_code_is_reported() -> None:
     with pytest.raises(ConfigError, match="not compiled"):
-        run_lanes(campaign(fault="saturate"), cells(0.3))
+        run_compiled(campaign(fault="saturate"), cells(0.3))
