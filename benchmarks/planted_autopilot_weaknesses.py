@@ -15,10 +15,10 @@ from typing import Any, NamedTuple
 
 import msgspec
 import yaml
-from analysis.search.evaluation.evaluator import Evaluator
 
 from analysis.flying.worker_pool import InProcessPool
 from analysis.search.archive import Archive
+from analysis.search.evaluation.evaluator import Evaluator
 from analysis.search.search_command import search_cases
 from analysis.search.space.point_scenario import faults_of
 from analysis.search.space.test_file import TestFile, read_test
