@@ -66,28 +66,14 @@ def split_frames(data: bytes) -> list[bytes]:
 class AutopilotSender:
     """The packer of the lockstep loop: returns frames as they leave the proxy.
 
-    Parameters
-    ----------
-    flight : Flight
-    packer : Hil
-    listener : callable
-        Receives the frames for monitor and ground station.
-    commands : callable
-        Returns a ground station's frames for the next step; called while the autopilot computes.
-    telemetry : Link, optional
-        Link for a ground station's frames; without it, they use the HIL link.
-    step : StepMessage
-    passage : Passage, optional
-        The compiled form of the core; without it every frame takes the interpreted path.
+    `listener` receives the frames for monitor and ground station; `commands` returns a ground
+    station's frames for the next step, and is called while the autopilot computes. These leave on
+    `telemetry`, without it on the HIL link. Without a `passage`, the compiled form of the core,
+    every frame takes the interpreted path.
 
-    Attributes
-    ----------
-    step_us : int or None
-        The timestamp in the last frames that the autopilot answers.
-    returned : list of Frame
-        Frames for the simulator in between: changes of the plant, and late answers.
-    unheard : list of Send
-        Sends to other links, delivered while the autopilot computes the step.
+    `step_us` is the timestamp in the last frames that the autopilot answers, if any; `returned` are
+    frames for the simulator in between: changes of the plant, and late answers; `undelivered` are
+    sends to other links, delivered while the autopilot computes the step.
     """
 
     def __init__(

@@ -1,10 +1,7 @@
 """Learn the noise of pseudoranges from a recording itself: by elevation, C/N0 and system.
 
-Each epoch is solved alone, robustly, so that a faulty satellite moves the solution little. To the
-residuals of all epochs, over what the solution takes of each, the three terms of `SigmaModel` are
-fitted by robust variances in cells of elevation and C/N0, then a factor for each system. The
-scale counts no residual for more than five standard deviations of the smaller ones: tails and
-standing multipath count; one satellite of ten, faulty for half of the time, adds two thirds.
+Each epoch is solved alone, robustly, so that a faulty satellite moves the solution little; the
+model is fitted to the residuals of all epochs (docs/fdi.md, "Noise of the recording").
 """
 
 import itertools

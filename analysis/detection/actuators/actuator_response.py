@@ -1,11 +1,8 @@
 """Tracks the response of actuators through the samples of a block.
 
-The test is suspended on the ground, where the ground reaction hides motor failures. The vehicle
-counts as flying once it is 3 m above its first fix or faster than 3 m/s, until it rests near its
-first height again. While it is low and slow in between, a leg may touch the ground, so the test is
-suspended too; after a flight from the ground it may do so at any speed, and a vehicle with wings
-that began at rest may roll. An
-impact while an actuator is isolated is a crash: no sensor is tested after it until the next flight.
+The test is suspended on the ground and where a leg may touch it (docs/watches.md, "Actuators"). The
+vehicle counts as flying once it is 3 m above its first fix or faster than 3 m/s, until it rests
+near its first height again. An impact while an actuator is isolated is a crash.
 """
 
 import math

@@ -1,11 +1,8 @@
-"""The prior model of a vehicle's motion, linear about steady flight.
+"""The prior model of a vehicle's motion, linear about steady flight (docs/fdi.md, "Actuators").
 
 The axes are angular acceleration about x, y and z in rad/s^2, and specific force along x, again
-along x, and along z in m/s^2, body axes. The motion on each axis is a sum of terms: a constant, the
-actuators' commands, the rates in rad/s and, except for the last axis, the specific force along y
-and z. The latter stands for the flow angles, which no sensor measures: what turns the body or drags
-at it also pushes it. The second axis along x also has the airspeed in m/s, where it is measured; an
-error on that axis alone is the pitot tube's.
+along x, and along z in m/s^2, body axes. An error on the second axis along x alone, which also has
+the airspeed, is the pitot tube's.
 """
 
 from typing import NamedTuple

@@ -1,8 +1,7 @@
 """Averages samples over time bins of 0.1 s: mean motion and the terms that predict it.
 
-The mean rates of two adjacent bins differ by the angular acceleration, weighted by a triangle that
-rises over the first bin and falls over the second. Commands, rates and specific force have the same
-weights, so that all refer to the same time. Commands first pass the motors' and servos' lag.
+The mean rates of two adjacent bins differ by the angular acceleration, weighted by a triangle;
+commands, behind their actuator's lag, rates and specific force have the same weights.
 """
 
 from dataclasses import dataclass, field

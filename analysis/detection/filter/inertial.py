@@ -1,17 +1,10 @@
-"""The navigation state between epochs: strapdown mechanisation in ECEF and its error covariance.
+"""The state between epochs: strapdown mechanisation in ECEF and its error covariance [1]_.
 
 State x (21,): position r (m), velocity v (m/s), quaternion q_eb (body to ECEF), gyro bias (rad/s),
 accelerometer bias (m/s^2), receiver clock (m), its drift (m/s), offsets of Galileo, GLONASS and
 BeiDou (m). Error (20,): dr, dv, psi, dbg, dba, dc, dd, di (3) with the true attitude
-exp([psi]x) C_eb. Then [1]_
-
-    dr' = dv
-    dv' = -[f_e]x psi - C dba - 2 Omega x dv
-    psi' = -C dbg - Omega x psi
-    dc' = dd
-
-with white noise on psi', dv', and random walks of the biases, clock, drift and offsets. The
-gradient of gravity is left out: it matters over minutes without GNSS only.
+exp([psi]x) C_eb. docs/fdi.md, "Filter", has the equations; the gradient of gravity is left out: it
+matters over minutes without GNSS only.
 
 References
 ----------

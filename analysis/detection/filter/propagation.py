@@ -8,9 +8,8 @@ from analysis.detection.filter.antenna import shift_by_lever_arm
 from analysis.detection.filter.filter_config import FilterConfig
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import PSI, propagate_freely, propagate_inertial
-from analysis.samples.block import ImuRun, Stamps
+from analysis.samples.block import ImuRun
 from analysis.samples.sample import IMU_VALUE_LIMIT, Vector
-from mavproxy_fault.numerics.compile import compiled
 
 PENDING_MAX = 40_000  # samples between two epochs, 200 s at 200 Hz; older ones are dropped
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
@@ -64,39 +63,18 @@ def is_silent(gap_s: float, usual_s: float, config: FilterConfig) -> bool:
 
 
 def imu_segment(run: ImuRun, motion: MotionEstimate, until_us: int) -> ImuSegment:
-    """The steps from the filter's time to `until_us`; the last sample extends to the end."""
-    return ImuSegment(*segment_steps(run.t_us, run.values, motion.t_us, until_us))
-
-
-@compiled
-def segment_steps(
-    t_us: Stamps, values: Vector, from_us: int, until_us: int
-) -> tuple[Vector, float, bool]:
-    """The fields of an `ImuSegment` from stamps (n,) and values (n, 6), rates in rad/s and specific
-    force in m/s^2; without samples if one of them is implausible."""
-    at = 0
+    """The steps from the filter's time to `until_us`; the last sample extends to the end. Without
+    samples if one of them is implausible."""
     # Samples before the filter's time have been used already.
-    while at < len(t_us) and t_us[at] <= from_us:
-        at += 1
-    count = len(t_us) - at
-    if count == 0:
-        return np.empty((0, 7)), (until_us - from_us) * 1e-6, False
-    # One step more than samples: the last one extends to the epoch.
-    table = np.empty((count + 1, 7))
-    before_us, gap_s, total_s, usable = from_us, -np.inf, 0.0, True
-    for k in range(count + 1):
-        row = min(at + k, len(t_us) - 1)
-        now_us = t_us[at + k] if k < count else until_us
-        table[k, 0] = (now_us - before_us) * 1e-6
-        gap_s = max(gap_s, table[k, 0])
-        total_s += table[k, 0]
-        before_us = now_us
-        for i in range(6):
-            table[k, 1 + i] = values[row, i]
-            usable &= abs(values[row, i]) <= IMU_VALUE_LIMIT  # which NaN is not
-    if not usable:
-        return np.empty((0, 7)), total_s, True
-    return table, gap_s, True
+    at = run.t_us.searchsorted(motion.t_us, side="right")
+    t_us, values = run.t_us[at:], run.values[at:]
+    if not len(t_us):
+        return ImuSegment(np.empty((0, 7)), (until_us - motion.t_us) * 1e-6, False)
+    steps_s = np.diff(t_us, prepend=motion.t_us, append=until_us) * 1e-6
+    if not (np.abs(values) <= IMU_VALUE_LIMIT).all():  # which NaN is not
+        return ImuSegment(np.empty((0, 7)), float(steps_s.sum()), True)
+    table = np.column_stack((steps_s, np.concatenate((values, values[-1:]))))
+    return ImuSegment(table, float(steps_s.max()), True)
 
 
 def propagate_filter(

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.detection.filter.epoch_update import EpochUpdate
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import R, V
 from analysis.detection.filter.information import Indices, NormalEquations, covariance_block
 from analysis.detection.filter.lasting_errors import INDEPENDENT_AFTER_S
@@ -60,30 +61,25 @@ class StrongestRamp(NamedTuple):
     rival: float
 
 
-class EpochStep(NamedTuple):
-    """From the last epoch to this one: the transition (20, 20) of errors, the time between them,
-    the stamp, and whether the IMU propagated the filter."""
-
-    transition: Vector
-    dt_s: float
-    t_us: int
-    inertial: bool
-
-
 def update_windows(
-    windows: RampWindows, p: Vector, update: EpochUpdate, step: EpochStep, config: IsolationConfig
+    windows: RampWindows,
+    motion: MotionEstimate,
+    update: EpochUpdate,
+    transition: Vector,
+    dt_s: float,
+    config: IsolationConfig,
 ) -> tuple[RampWindows, StrongestRamp]:
-    """The windows after the filter's update from the covariance p (20, 20), and the strongest ramp
-    that they show now."""
-    ages_s = np.where(windows.starts_us != 0, (step.t_us - windows.starts_us) * 1e-6, 0.0)
-    prior = covariance_block(p, update.ranges.states)
-    offset, spread = learn_offsets(windows, prior, update.ranges, step.dt_s, config.sigma)
-    windows = propagate_windows(windows, step.transition, step.dt_s)
+    """The windows after the filter's `update` of its prediction `motion`, which came from the last
+    epoch by a transition (20, 20) of errors over `dt_s`, and the strongest ramp that they show."""
+    ages_s = np.where(windows.starts_us != 0, (motion.t_us - windows.starts_us) * 1e-6, 0.0)
+    prior = covariance_block(motion.p, update.ranges.states)
+    offset, spread = learn_offsets(windows, prior, update.ranges, dt_s, config.sigma)
+    windows = propagate_windows(windows, transition, dt_s)
     respond(windows, ages_s, update.ranges, update.after_ranges, True)
     respond(windows, ages_s, update.rates, update.after_rates, False)
     windows = windows._replace(offset=offset, spread=spread)
     variances = float(config.sigma.slow_mps) ** 2, float(config.slow_accel_mps2) ** 2
-    strongest = strongest_ramp(windows, ages_s, step.inertial, *variances)
+    strongest = strongest_ramp(windows, ages_s, motion.inertial, *variances)
     return windows, StrongestRamp(*strongest)
 
 

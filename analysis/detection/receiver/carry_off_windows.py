@@ -17,9 +17,9 @@ from analysis.samples.sample import Vector
 
 WINDOW_COUNT = 20  # 4 s of fixes at 5 Hz
 STRIDE_US = 180_000  # at most one window per 180 ms, for fixes at 5 Hz or less each begins one
-# A window's responses, along or about north, east and down; the last three are optional.
+# A window's responses, along or about north, east and down
 CARRIED, ACCELERATED, TURNED = slice(0, 3), slice(3, 6), slice(6, 9)
-EACH, WITH_TURNS = 6, 9
+RESPONSES = 9
 # Slow errors of a healthy receiver's velocity and of a healthy IMU's acceleration, chosen
 NATURAL_MPS, NATURAL_MPS2 = 0.2, 0.2
 LEAST_RATIO_LEAD = 10.0  # chosen: a likelihood of 1:150
@@ -49,7 +49,7 @@ class CarryOffWindows(NamedTuple):
     """The windows over a flight.
 
     `starts_us` (w,) is when each began (0: not yet), the next one begins at `due_us`; `d` (20, s w)
-    are the responses to s = 6 or 9 signatures, `c` (w, s) and `j` (w, s, s) the sums, `levels` (w,)
+    are the responses to s = 9 signatures, `c` (w, s) and `j` (w, s, s) the sums, `levels` (w,)
     those of the innovations when a window began. `squares` (6,) are the mean squares of the
     normalized innovations, of `fixes`. At `doubt_us` a finding was made that needs no spoofer, at
     `impact_us` one that needs neither a spoofer nor a faulty IMU.
@@ -83,18 +83,11 @@ class CarryOffDetection(NamedTuple):
     covariance: Vector
 
 
-def new_windows(t_us: int, responses: int = EACH) -> CarryOffWindows:
-    """Windows that begin one after the other from `t_us`, with so many `responses` each."""
-    w = WINDOW_COUNT
-    table, sums, squares = (
-        np.zeros((ERROR_SIZE, w * responses)),
-        np.zeros((w, responses)),
-        np.ones(6),
-    )
-    starts_us = np.zeros(w, np.int64)
-    return CarryOffWindows(
-        t_us, starts_us, table, sums, np.zeros((w, responses, responses)), np.ones(w), squares
-    )
+def new_windows(t_us: int) -> CarryOffWindows:
+    """Windows that begin one after the other from `t_us`."""
+    w, s = WINDOW_COUNT, RESPONSES
+    d, c, j = (np.zeros(shape) for shape in ((ERROR_SIZE, w * s), (w, s), (w, s, s)))
+    return CarryOffWindows(t_us, np.zeros(w, np.int64), d, c, j, np.ones(w), np.ones(6))
 
 
 def fix_innovation(
@@ -114,20 +107,19 @@ def extend_windows(
     carry: CarryOffWindows, t_us: int, dt_s: float, phi: Vector, axes: Vector, fix: FixInnovation
 ) -> CarryOffWindows:
     """Add a fix, `dt_s` after the last, with the transition phi (20, 20) and NED `axes` (3, 3)."""
-    d, count = phi @ carry.d, carry.c.shape[1]
-    by_window, begun = d.reshape(ERROR_SIZE, WINDOW_COUNT, count), carry.starts_us > 0
+    d, begun = phi @ carry.d, carry.starts_us > 0
+    by_window = d.reshape(ERROR_SIZE, WINDOW_COUNT, RESPONSES)
     # After a few fixes all have begun, and a mask costs more than the addition.
     at = slice(None) if begun.all() else begun
     by_window[0:3, at, ACCELERATED] += 0.5 * dt_s**2 * axes.T[:, None]
     by_window[V : V + 3, at, ACCELERATED] += dt_s * axes.T[:, None]
-    if count == WITH_TURNS:
-        by_window[PSI : PSI + 3, at, TURNED] += dt_s * axes.T[:, None]
-    e = np.zeros((6, WINDOW_COUNT, count))
+    by_window[PSI : PSI + 3, at, TURNED] += dt_s * axes.T[:, None]
+    e = np.zeros((6, WINDOW_COUNT, RESPONSES))
     ages_s = np.where(begun, (t_us - carry.starts_us) * 1e-6, 0.0)
     for axis in range(3):
         e[axis, :, axis], e[3 + axis, :, axis] = ages_s, begun
     g = e.reshape(6, -1)[fix.rows] - fix.h @ d
-    responses = g.reshape(-1, WINDOW_COUNT, count)
+    responses = g.reshape(-1, WINDOW_COUNT, RESPONSES)
     weighted = np.einsum("ijk,il->ljk", responses, fix.m)
     c = carry.c + np.einsum("ljk,l->jk", weighted, fix.v)
     j = carry.j + np.einsum("ljk,ljm->jkm", weighted, responses)
@@ -150,9 +142,9 @@ def renew_oldest_window(carry: CarryOffWindows, t_us: int) -> CarryOffWindows:
         return carry
     oldest = int(carry.starts_us.argmin())
     starts_us, levels = carry.starts_us.copy(), carry.levels.copy()
-    d, c, j, responses = carry.d.copy(), carry.c.copy(), carry.j.copy(), carry.c.shape[1]
+    d, c, j = carry.d.copy(), carry.c.copy(), carry.j.copy()
     starts_us[oldest], levels[oldest] = t_us, max(float(carry.squares.max()), LEAST_LEVEL)
-    d[:, oldest * responses : (oldest + 1) * responses] = 0.0
+    d[:, oldest * RESPONSES : (oldest + 1) * RESPONSES] = 0.0
     c[oldest], j[oldest] = 0.0, 0.0
     due_us = t_us + STRIDE_US
     return carry._replace(due_us=due_us, starts_us=starts_us, d=d, c=c, j=j, levels=levels)
@@ -186,12 +178,18 @@ def search_windows(
 
 def compare_windows(carry: CarryOffWindows) -> tuple[float, float, CarryOffDetection | None]:
     """The likelihood ratios of a carry-off and of a faulty IMU, and the carry-off."""
-    begun = np.flatnonzero(carry.starts_us)
-    if not len(begun):
+    if not carry.starts_us.any():
         return 0.0, 0.0, None
+    window, ratio, rival = _strongest(carry)
+    return ratio, rival, _carry_off_of(carry, window)
+
+
+def _strongest(carry: CarryOffWindows) -> tuple[int, float, float]:
+    """The window that shows a carry-off most, its likelihood ratio, and that of a faulty IMU."""
+    begun = np.flatnonzero(carry.starts_us)
     ratio, force, rate = (_ratios(carry, begun, part) for part in (CARRIED, ACCELERATED, TURNED))
     rival = max(float(force.max()), float(rate.max()))
-    return float(ratio.max()), rival, _carry_off_of(carry, int(begun[ratio.argmax()]))
+    return int(begun[ratio.argmax()]), float(ratio.max()), rival
 
 
 def find_significant_carry_off(
@@ -200,14 +198,10 @@ def find_significant_carry_off(
     """A carry-off that no test has shown, if it exceeds the chi-square `threshold` and explains
     more than a faulty IMU. `level` is the mean square of the flight's innovations: the noisier they
     are, the larger are slow errors of a healthy receiver's velocity."""
-    begun = np.flatnonzero(carry.starts_us)
-    parts = (CARRIED, ACCELERATED, TURNED)
-    ratio, force, rate = (_ratios(carry, begun, part) / level for part in parts)
-    window = int(begun[ratio.argmax()])
+    window, ratio, rival = _strongest(carry)
     natural = NATURAL_MPS * np.sqrt(level / LEAST_LEVEL)
-    tempered = _ratios(carry, np.array([window]), CARRIED, natural)[0] / level
-    rival = max(float(force.max()), float(rate.max()))
-    clear = tempered > threshold and ratio.max() > rival + LEAST_RATIO_LEAD
+    tempered = _ratios(carry, np.array([window]), CARRIED, natural)[0]
+    clear = tempered > level * threshold and ratio > rival + level * LEAST_RATIO_LEAD
     # If a young window's poor estimate were removed, the rest would stay in the filter.
     clear = clear and t_us - carry.starts_us[window] >= KNOWN_US
     return _carry_off_of(carry, window) if clear else None
@@ -216,8 +210,7 @@ def find_significant_carry_off(
 def _carry_off_of(carry: CarryOffWindows, window: int) -> CarryOffDetection:
     """The carry-off that a window shows."""
     covariance = np.linalg.inv(carry.j[window, CARRIED, CARRIED] + REGULARIZATION)
-    responses = carry.c.shape[1]
-    d = carry.d[:, window * responses : window * responses + 3]
+    d = carry.d[:, window * RESPONSES : window * RESPONSES + 3]
     u = covariance @ carry.c[window, CARRIED]
     return CarryOffDetection(CarryOff(int(carry.starts_us[window]), u), d @ u, d @ covariance @ d.T)
 

@@ -67,35 +67,32 @@ def fix_sensor_decisions(
     config: DetectorConfig,
 ) -> list[Result]:
     """The decisions on the receiver as a sensor, and on a faulty or silent IMU."""
-    results: list[Result] = []
+
+    def decision(
+        sensor: str, test: FixTest | None, alarm: bool, isolated: bool, reason: str = ""
+    ) -> SensorDecision:
+        return SensorDecision(
+            t_us=fix.t_us,
+            sensor=sensor,
+            statistic=test.statistic if test else None,
+            threshold=test.threshold if test else None,
+            dof=len(test.v) if test else 0,
+            alarm=alarm,
+            isolated=isolated,
+            reason=reason,
+        )
+
     # An excluded receiver is isolated for every test that still fails.
     isolated = hypothesis == "gps" or RECEIVER in core.trust.excluded
-    for sensor, test in (("gps-position", position), ("gps-velocity", velocity)):
-        if test is not None:
-            results.append(
-                SensorDecision(
-                    t_us=fix.t_us,
-                    sensor=sensor,
-                    statistic=test.statistic,
-                    threshold=test.threshold,
-                    dof=len(test.v),
-                    alarm=not test.passes,
-                    isolated=isolated and not test.passes,
-                )
-            )
+    tests = {"gps-position": position, "gps-velocity": velocity}
+    results: list[Result] = [
+        decision(sensor, test, not test.passes, isolated and not test.passes)
+        for sensor, test in tests.items()
+        if test is not None
+    ]
     silent = is_silent(gap_s, core.imu.interval_s, config)
     if silent or hypothesis == "imu":
-        results.append(
-            SensorDecision(
-                t_us=fix.t_us,
-                sensor="imu",
-                # Silent: there was nothing to test.
-                statistic=velocity.statistic if velocity and not silent else None,
-                threshold=velocity.threshold if velocity and not silent else None,
-                dof=len(velocity.v) if velocity and not silent else 0,
-                alarm=True,
-                isolated=True,
-                reason=f"{IMU_SILENT} {gap_s:.2f} s" if silent else "",
-            )
-        )
+        reason = f"{IMU_SILENT} {gap_s:.2f} s" if silent else ""
+        # Silent: there was nothing to test.
+        results.append(decision("imu", None if silent else velocity, True, True, reason))
     return results

@@ -28,7 +28,6 @@ from analysis.detection.isolation.range_test import RangeVerdict
 from analysis.detection.isolation.rate_test import RateVerdict
 from analysis.detection.receiver.carry_off_windows import (
     LEAST_RATIO_LEAD,
-    WITH_TURNS,
     CarryOff,
     CarryOffDetection,
     CarryOffWindows,
@@ -186,7 +185,7 @@ def _repeat_tests(
     epochs = [*_last_epochs(history, assessment.prediction.motion.t_us, config), now]
     if len(epochs) < LEAST_EPOCHS:
         return None
-    windows = new_windows(epochs[0].assessment.prediction.motion.t_us, WITH_TURNS)
+    windows = new_windows(epochs[0].assessment.prediction.motion.t_us)
     for epoch in epochs:
         if epoch.fix is None:
             return None

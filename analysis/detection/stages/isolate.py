@@ -32,7 +32,7 @@ from analysis.detection.isolation.ramp_test import (
     new_ramps,
     prepare_ramps,
 )
-from analysis.detection.isolation.ramp_windows import EpochStep, update_windows
+from analysis.detection.isolation.ramp_windows import update_windows
 from analysis.detection.isolation.range_test import RangeVerdict, isolate_ranges, run_range_test
 from analysis.detection.isolation.rate_test import RateVerdict, run_rate_test
 from analysis.detection.receiver.carry_off_windows import CarryOff
@@ -190,7 +190,8 @@ def _update_with_ramps(
     if used is not assessment.innovations:
         normal = normal_equations(used.geometry, used.variance, used.range_m)
     update = update_filter(motion, normal, verdict.rates.usable)
-    step = EpochStep(prediction.transition, prediction.dt_s, t_us, motion.inertial)
-    windows, strongest = update_windows(ramps.windows, motion.p, update, step, config)
+    windows, strongest = update_windows(
+        ramps.windows, motion, update, prediction.transition, prediction.dt_s, config
+    )
     ramps = ramps._replace(windows=windows)
     return FilterUpdate(update.motion, ramps, evaluate_ramps(ramps, strongest, config))

@@ -1,10 +1,7 @@
 """The decision on a receiver's fix without raw ranges, by tests of its position and velocity.
 
 Three position components have no redundancy, so the fault is isolated by the velocity and by
-whether the receiver is consistent with itself. A position that diverges while the velocity still
-fits the IMU is the receiver's fault; where both diverge together it is the receiver's or the IMU's,
-and `receiver_or_imu` decides. If these are not separable, the filter follows the receiver, and its
-position is declared unbounded.
+whether the receiver is consistent with itself (docs/fdi.md, "Without raw ranges").
 """
 
 from dataclasses import replace
