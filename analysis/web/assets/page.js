@@ -102,8 +102,12 @@ function connect() {
   socket = new WebSocket(`ws://${location.host}/api/live?token=${encodeURIComponent(token)}`);
   socket.onopen = () => requestMessages(requestedMessages);
   socket.onmessage = (message) => {
-    for (const [key, value] of JSON.parse(message.data)) take(key, value);
-    verdicts.update();
+    const show = () => {
+      for (const [key, value] of JSON.parse(message.data)) take(key, value);
+      verdicts.update();
+    };
+    if (pressed) released.then(show);
+    else show();
   };
   socket.onclose = () => {
     if (ended) return; // the server has left with its run, as it should
@@ -140,12 +144,13 @@ function drawNext() {
 }
 
 function frame(now_ms) {
+  requestAnimationFrame(frame);
+  if (pressed) return;
   moveAxis(now_ms);
   drawVerdicts();
   drawVehicle(now_ms);
   signals.begin();
   drawNext();
-  requestAnimationFrame(frame);
 }
 
 $("viewing").hidden = Boolean(token);

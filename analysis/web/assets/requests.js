@@ -16,6 +16,19 @@ if (printed) {
 }
 const token = sessionStorage.getItem("token") || "";
 
+// While a button is held down nothing on the page moves: a click that ends beside its button is lost.
+const LONGEST_PRESS_MS = 2000;
+let pressed = false, released = Promise.resolve();
+addEventListener("pointerdown", (event) => {
+  if (pressed || !event.target.closest("button, summary, label, a")) return;
+  pressed = true;
+  released = new Promise((resolve) => {
+    const end = () => setTimeout(() => { pressed = false; resolve(); }); // after the click
+    for (const type of ["pointerup", "pointercancel"]) addEventListener(type, end, { once: true, capture: true });
+    setTimeout(end, LONGEST_PRESS_MS);
+  });
+}, true);
+
 async function post(path, body = "") {
   let reply;
   try {
@@ -24,6 +37,7 @@ async function post(path, body = "") {
     throw new Error("the page's server does not answer; is it still running?");
   }
   const value = await reply.json();
+  await released;
   if (!reply.ok) throw new Error(value.error);
   return value;
 }

@@ -1,5 +1,6 @@
 """Test sequences composed on the page, and commands to the vehicle, in a real browser."""
 
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,27 @@ def compose(page: Any, for_s: str = "0.3") -> None:
     page.select_option("#deed", "land")
     page.click("#add-step")
     page.fill("[aria-label='wait, s of land']", "0.5")
+
+
+def test_no_click_is_lost_while_the_list_of_faults_grows(
+    page: Any, loop: Any, address: str, open_page: Callable[[str], Any]
+) -> None:
+    """The list stands above the button: a row that came between press and release moved it."""
+    other = open_page(address)
+    page.click("#sequence summary")
+    button = page.locator("#add-step")
+    button.scroll_into_view_if_needed()
+    box = button.bounding_box()
+    page.mouse.move(box["x"] + 5, box["y"] + 5)
+    page.mouse.down()
+    bias = {"fault": "bias", "target": "HIL_SENSOR.xgyro", "value": 0.1}
+    for number in range(4):
+        key = f"@ctl/fault/f{number}/arm"
+        loop.live.query(key, json.dumps(bias).encode())
+    other.wait_for_selector("#faults li >> nth=3")  # each batch goes to all viewers at once
+    page.mouse.up()
+    page.wait_for_selector("#steps li b:text-is('arm')")
+    page.wait_for_selector("#faults li >> nth=3")  # what was held back is shown
 
 
 def test_a_sequence_is_composed_run_and_watched(page: Any, loop: Any) -> None:
