@@ -16,16 +16,18 @@ from mavproxy_fault.compiled.element_bytes import (
     read_element,
     write_element,
 )
-from mavproxy_fault.compiled.kernel import call, choose, i64, kernel
+from mavproxy_fault.compiled.kernel import call, choose, i64, kernel, kernel_of
 from mavproxy_fault.compiled.layout import Shared
 from mavproxy_fault.compiled.rule_numbers import link_rules, value_rules
 from mavproxy_fault.compiled.signatures import sign_again
+from mavproxy_fault.fault_parts import hits
 from mavproxy_fault.fault_parts.rules import LOST
 from mavproxy_fault.proxy.senders import LINK_TIME
 from mavproxy_fault.wire.framing import range_crc
 
 SKIPPED, SIGNED = -1, -2  # places of entries that do not act on a frame, as it is signed
 
+note_hits = kernel_of(hits.note_hits)
 _value_rule = choose(value_rules(), "x, i, t_s, p, m, u")
 _link_rule = choose(link_rules(), "t_us, size, p, m, u, v")
 
@@ -132,17 +134,11 @@ def _draw(entry: Any) -> float:
 
 @kernel
 def _note_hit(
-    number: int, t_us: int, from_vehicle: int, saturated: int, largest: float, shared: Shared
+    entry: Any, t_us: int, link: int, saturated: int, largest: float, shared: Shared
 ) -> None:
     """Count a changed frame for an entry."""
-    entry = shared.entries[number]
-    entry[k.FRAMES_HIT] += 1
-    entry[k.SATURATED] += saturated
-    entry[k.WAYS] |= 1 << from_vehicle
-    if entry[k.FIRST_US] == 0:
-        entry[k.FIRST_US] = t_us
-    if math.isfinite(largest) and largest > shared.changes[number, 1]:
-        shared.changes[number, 1] = largest
+    counts = shared.memory[entry[k.COUNTS_AT] :]
+    note_hits(counts, t_us, shared.ports[link, k.FROM_VEHICLE], 1, saturated, largest)
 
 
 @kernel
@@ -188,8 +184,7 @@ def _act_on_values(
         shared.items[item, k.LENGTH_OF] += end - size
     if changed:
         shared.items[item, k.ALTERED] = k.CHANGED
-        from_vehicle = shared.ports[link, k.FROM_VEHICLE]
-        _note_hit(step[k.ENTRY], t_us, from_vehicle, saturated, largest, shared)
+        _note_hit(entry, t_us, link, saturated, largest, shared)
     return changed
 
 
@@ -228,7 +223,7 @@ def _act_on_frame(
             items[count, k.LATE_US] += late_us * (n + 1) // number
             count += 1
     largest = late_us * 1e-6 if late_us else -1.0
-    _note_hit(step[k.ENTRY], t_us, shared.ports[link, k.FROM_VEHICLE], 0, largest, shared)
+    _note_hit(entry, t_us, link, 0, largest, shared)
     return count
 
 
@@ -248,11 +243,11 @@ def apply_chain(
         step, place = shared.steps[first], shared.places[position]
         entry = shared.entries[step[k.ENTRY]]
         if place == SIGNED:
-            entry[k.SEALED] += 1
+            shared.memory[entry[k.COUNTS_AT] + hits.SEALED] += 1.0
         for item in range(count if place >= 0 else 0):
             if items[item, k.LENGTH_OF] == 0:
                 continue
-            probability = shared.changes[step[k.ENTRY], 0]
+            probability = shared.chances[step[k.ENTRY]]
             if entry[k.CHANCE] >= 0 and call(entry[k.CHANCE], entry[k.CHANCES_FROM]) >= probability:
                 continue
             own_us = _own_time(entry, t_us, shared)

@@ -89,7 +89,6 @@ class CompiledCore:
         plans = self._plans
         if seen != self._seen or (self._core_ran and plans is not None and plans.changed):
             if plans is not None:
-                plans.settle(engine)  # what was counted for the rows that go
                 plans.clear()
             for number in self._learned:
                 self._classify(number)
@@ -132,9 +131,7 @@ class CompiledCore:
         if self._plans is None:
             from mavproxy_fault.compiled.plans import Plans
 
-            self._plans = plans = Plans(self.shared)
-            engine: Any = self._core.engine
-            engine.collect = lambda: plans.settle(engine)
+            self._plans = Plans(self.shared)
         return self._plans
 
     # Chunks without a socket
@@ -186,7 +183,7 @@ class CompiledCore:
         """Return what leaves of a chunk, how many bytes passed, and what ended it."""
         passed, found = self.loop[k.ROW_AT], self.loop[k.FOUND]
         sends = self._segments(-1, now_us)
-        self._settle(now_us, plain=found == k.DONE)
+        self._settle(now_us, news=found == k.NEWS)
         return sends + self.take_sends(), passed, found
 
     def _segments(self, links: int, now_us: int) -> list[Send]:
@@ -213,10 +210,10 @@ class CompiledCore:
             for column in (k.FRAMES, k.MISSING, k.FAULTED, k.BAD_SIGNATURES):
                 ports[number, column] = 0
 
-    def _settle(self, now_us: int, *, plain: bool = False) -> None:
-        """Give the core the faults' counts, the delayed frames and the passed ones.
+    def _settle(self, now_us: int, *, news: bool = False) -> None:
+        """Give the core the times, the delayed frames and the passed ones.
 
-        After a `plain` stretch, which needs nothing from the core, the counts can wait.
+        With `news` a label has begun.
         """
         loop, core = self.loop, self._core
         engine: Any = core.engine
@@ -224,7 +221,6 @@ class CompiledCore:
             engine.now_us = int(loop[k.WANTED_AT])  # even if an older clock's, as in the core
             engine.link_us = int(loop[k.WANTED_LINK_AT])
             loop[k.WANTED_AT] = UNKNOWN
-        begun = self._plans is not None and not plain and self._plans.settle(engine)
         at = 0
         while at < loop[k.HELD_AT]:
             due_us, mask, length = HELD.unpack_from(self.shared.held, at)
@@ -237,8 +233,9 @@ class CompiledCore:
             self._tape.sent += self.shared.sent[: loop[k.SENT_AT]]
             self._tape.index += self.shared.index[: loop[k.INDEX_AT]]
             self.drop_tape()
-        if begun:  # behind the frame that began it
+        if news:  # behind the frame that began it
             self._core_ran = True
+            engine.attend_begun()
             self._sends += core.announce_labels(now_us)
 
     def take_sends(self) -> list[Send]:

@@ -71,7 +71,7 @@ class Forwarder(CompiledCore):
             return reason
         if reason == k.TO_SETTLE:
             self._sends += self._segments(loop[k.OTHERS], now_us)
-        self._settle(now_us, plain=reason != k.TIME_IS_UP)
+        self._settle(now_us)
         return reason
 
     def serves(self, number: int) -> bool:

@@ -13,6 +13,7 @@ from mavproxy_fault.compiled.element_bytes import little_endian
 from mavproxy_fault.compiled.kernel import i64, kernel, kernel_of
 from mavproxy_fault.compiled.layout import Shared
 from mavproxy_fault.compiled.signatures import check_signature, note_signature
+from mavproxy_fault.fault_parts.hits import FRAMES
 from mavproxy_fault.proxy import sender_rules
 from mavproxy_fault.proxy import senders as cells
 from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, SAMPLE_PERIOD_US, UNIX_TIME_FROM_US
@@ -244,8 +245,7 @@ def _has_news(number: int, shared: Shared) -> bool:
     first = shared.table[number, k.CHAIN]
     while first >= 0:
         entry = shared.entries[shared.steps[first, k.ENTRY]]
-        # Also an entry that acts in a further direction.
-        if entry[k.FRAMES_HIT] and entry[k.WAYS] & ~entry[k.QUIET]:
+        if not entry[k.ANNOUNCED] and shared.memory[entry[k.COUNTS_AT] + FRAMES]:
             return True
         first = shared.steps[first, k.NEXT]
     return False

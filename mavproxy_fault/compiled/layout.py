@@ -41,12 +41,12 @@ TABLE_SIZE = 11
 INTERPRETED, PASS, PASS_UNTIL_EDGE, PLANNED = range(4)  # kinds
 # Columns of `entries`, a row for each active entry
 EFFECT, RULE, START, SYSTEM, COMPONENT, DIRECTION, INSTANCE = range(7)  # -1: any
-REMEMBERS, BY_SENDER, SEALED_TOO, QUIET = range(7, 11)  # QUIET: directions in its label, a mask
+REMEMBERS, BY_SENDER, SEALED_TOO, ANNOUNCED = range(7, 11)  # ANNOUNCED: whether its label has begun
 DRAW_COUNT, DRAW, DRAWS_FROM, CHANCE, CHANCES_FROM = range(11, 16)  # addresses; -1: draws nothing
 ON_LINK, UNTIL = 16, 17  # whether it counts in link time; from when on the core has to see a frame
-FRAMES_HIT, SATURATED, SEALED, FIRST_US, WAYS = range(18, 23)  # counts; WAYS: bit mask
-LABEL_AT = 23  # when the core has to see a frame for a label
-ENTRY_SIZE = 24
+COUNTS_AT = 18  # of `fault_parts.hits`, in memory
+LABEL_AT = 19  # when the core has to see a frame for a label
+ENTRY_SIZE = 20
 VALUES, DELAY, COPIES, RENUMBER, IDLE = range(5)  # effects; IDLE: none before UNTIL
 # Columns of `steps`, the chains of entries on a message
 ENTRY, FROM, TO, NEXT, END, NUMBERS_FROM = range(6)  # END: bytes that the elements need
@@ -126,7 +126,7 @@ class Shared(NamedTuple):
     sent: Octets = ("B", "log")
     index: Octets = ("B", "log")
     entries: Integers = ("q", MOST_ENTRIES, ENTRY_SIZE)
-    changes: Doubles = ("d", MOST_ENTRIES, 2)  # probability, largest change (negative: none)
+    chances: Doubles = ("d", MOST_ENTRIES)  # probabilities
     steps: Integers = ("q", MOST_STEPS, STEP_SIZE)
     elements: Integers = ("q", MOST_ELEMENTS, 3)
     factors: Doubles = ("d", MOST_ELEMENTS, 2)

@@ -17,34 +17,22 @@ from typing import Any
 import llvmlite.binding as llvm  # type: ignore[import-untyped]
 
 from mavproxy_fault.numerics.baseline import BASELINE, runs_baseline
-from mavproxy_fault.numerics.code_cache import alone, code_digest, installed, note_use, place
+from mavproxy_fault.numerics.code_cache import (
+    alone,
+    installed,
+    note_use,
+    place,
+    source_digest,
+)
 
 PACKAGE = Path(__file__).parents[1]
-ENTRY = "compiled/sockets.py"
-IMPORTED = re.compile(r"^from mavproxy_fault\.(\w+(?:\.\w+)*) import (.+?)$", re.MULTILINE)
+# What is compiled, the rules of all faults, and this file, which compiles them
+ROOTS = PACKAGE / "compiled/sockets.py", Path(__file__), *(PACKAGE / "faults").glob("*.py")
 NAME = "mavproxy_fault_forward"
 COUNTING = re.compile(r"^ *call void @NRT_(?:in|de)cref.*$", re.MULTILINE)
 PYTHON = ("Py", "numba_", "NRT_")  # beginnings of names that only exceptions need
 
 Forward = Callable[..., int]
-
-
-@cache
-def sources() -> tuple[str, ...]:
-    """The compiled source files, found by following imports, and this file, which compiles them."""
-    found: list[str] = []
-    rules = [f"faults/{file.name}" for file in (PACKAGE / "faults").glob("*.py")]
-    waiting = [ENTRY, f"compiled/{Path(__file__).name}", *rules]
-    while waiting:
-        name = waiting.pop()
-        if name in found:
-            continue
-        found.append(name)
-        for module, names in IMPORTED.findall((PACKAGE / name).read_text()):
-            place = module.replace(".", "/")
-            inside = [f"{place}/{one.split()[0].strip('(,')}.py" for one in names.split(", ")]
-            waiting += [one for one in (f"{place}.py", *inside) if (PACKAGE / one).is_file()]
-    return tuple(sorted(found))
 
 
 @cache
@@ -64,7 +52,7 @@ def _target() -> tuple[Any, str, str]:
 def object_path() -> Path:
     """The path of the object file for these sources and this processor; it may not exist yet."""
     _, cpu, features = _target()
-    code = code_digest([(PACKAGE / source).read_bytes() for source in sources()])
+    code = source_digest(*ROOTS)
     name = f"forward-{hashlib.sha256(f'{code} {cpu} {features}'.encode()).hexdigest()[:16]}.o"
     ready = installed() / name
     return ready if ready.is_file() else place() / name

@@ -19,12 +19,12 @@ from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, RuleLinkFault
 from mavproxy_fault.faults.plant_fault import SimulatorFault
 from mavproxy_fault.faults.registry import our_faults
 from mavproxy_fault.faults.timestamp_faults import TimestampFault, stamp_fields
-from mavproxy_fault.proxy.active_entry import BOTH_DIRECTIONS, ActiveEntry
+from mavproxy_fault.proxy.active_entry import ActiveEntry
 from mavproxy_fault.proxy.interfaces import NEVER_US
 from mavproxy_fault.wire.dialect import Layout
 
 if TYPE_CHECKING:
-    from mavproxy_fault.proxy.engine import Engine
+    pass
 
 WAYS = ("to-vehicle", "from-vehicle")
 EFFECTS = {"delay": k.DELAY, "copies": k.COPIES, "renumber": k.RENUMBER}
@@ -131,7 +131,6 @@ class Plans:
         if row == k.MOST_ENTRIES or our_faults().get(getattr(kind, "name", "")) is not kind:
             return None
         plan = [-1] * k.ENTRY_SIZE
-        plan[k.FRAMES_HIT : k.LABEL_AT] = [0] * (k.LABEL_AT - k.FRAMES_HIT)
         if isinstance(fault, RuleFault) and fault.rule is not None:
             plan[k.EFFECT], plan[k.RULE] = k.VALUES, value_rules().index(fault.rule)
             profile = getattr(fault, "profile", None)
@@ -154,7 +153,8 @@ class Plans:
             return None
         begun = running.label_us > -NEVER_US
         plan[k.START], plan[k.BY_SENDER] = running.start_us, getattr(fault, "by_sender", False)
-        plan[k.SEALED_TOO], plan[k.QUIET] = running.takes_sealed, 3 * begun
+        plan[k.SEALED_TOO], plan[k.ANNOUNCED] = running.takes_sealed, begun
+        plan[k.COUNTS_AT] = running.counts.at
         # The core sees the first frame of a fault that has something to do at intervals.
         plan[k.UNTIL] = 0 if hasattr(fault, "idle_until_us") else NEVER_US
         plan[k.ON_LINK] = running.on_link
@@ -173,7 +173,7 @@ class Plans:
             return None
         for column, value in enumerate(plan):
             self._shared.entries[row, column] = value
-        self._shared.changes[row, 0], self._shared.changes[row, 1] = running.entry.probability, -1.0
+        self._shared.chances[row] = running.entry.probability
         self._running.append(running)
         return row
 
@@ -246,28 +246,3 @@ class Plans:
         end = self._numbers_used + len(numbers)
         self._shared.numbers[self._numbers_used : end] = array("d", numbers)
         self._numbers_used = end
-
-    # After a stretch of forwarding
-
-    def settle(self, engine: "Engine") -> bool:
-        """Add the counts of the compiled code to the entries; whether a label has begun."""
-        entries, begun = self._shared.entries, dict[int, int]()
-        for row, running in enumerate(self._running):
-            running.sealed += entries[row, k.SEALED]
-            entries[row, k.SEALED] = 0
-            if not entries[row, k.FRAMES_HIT]:
-                continue
-            first_us = entries[row, k.FIRST_US]
-            for way, name in enumerate(WAYS):
-                if entries[row, k.WAYS] >> way & 1 and running.direction != BOTH_DIRECTIONS:
-                    running.note_changed_frame(name, first_us)
-            running.count_frames(
-                entries[row, k.FRAMES_HIT], entries[row, k.SATURATED], self._shared.changes[row, 1]
-            )
-            for column in (k.FRAMES_HIT, k.SATURATED, k.FIRST_US, k.WAYS):
-                entries[row, column] = 0
-            self._shared.changes[row, 1] = -1.0
-            if running.needs_attention:
-                begun[id(running)] = first_us
-        engine.attend_all(begun)
-        return bool(begun)

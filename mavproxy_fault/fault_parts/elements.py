@@ -5,7 +5,7 @@ changed: zeros of different sign differ in their bytes only, as NaNs may.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -86,6 +86,13 @@ def write_elements(
         return Outgoing(t_us, frame)
     size = step if step >= 0.0 else None
     return Outgoing(t_us, frame.with_payload(changed), size, saturated)
+
+
+def patch_frame(frame: Frame, values: Mapping[Element, Number]) -> Frame:
+    """Return the frame with other values of some elements, as `write_elements` writes them."""
+    patched = write_elements(frame, 0, [*values], [*values.values()]).frame
+    assert isinstance(patched, Frame)
+    return patched
 
 
 @cache

@@ -5,6 +5,7 @@ called from either side at any frame.
 """
 
 import mmap
+import threading
 from array import array
 from typing import Any
 
@@ -13,6 +14,7 @@ NUMBERS = 1 << 22  # 32 MB of address space; pages are used only when touched
 ARENA: Any = memoryview(mmap.mmap(-1, 8 * NUMBERS)).cast("d")
 _free: dict[int, list[int]] = {}  # offsets of released regions, by size
 _used = 0
+_lock = threading.Lock()
 
 
 class Memory:
@@ -22,14 +24,15 @@ class Memory:
 
     def __init__(self, size: int) -> None:
         global _used
-        self.size, released = size, _free.get(size)
-        if released:
-            at = released.pop()
-            ARENA[at : at + size] = array("d", bytes(8 * size))
-        elif _used + size > NUMBERS:
-            raise MemoryError("the faults' memory is full")
-        else:
-            at, _used = _used, _used + size
+        with _lock:  # entries are prepared in other threads
+            self.size, released = size, _free.get(size)
+            if released:
+                at = released.pop()
+                ARENA[at : at + size] = array("d", bytes(8 * size))
+            elif _used + size > NUMBERS:
+                raise MemoryError("the faults' memory is full")
+            else:
+                at, _used = _used, _used + size
         self.at, self.numbers = at, ARENA[at : at + size]
 
     def write(self, numbers: list[float]) -> None:

@@ -1,7 +1,7 @@
 """Moves the position and velocity of each message that carries them, in metres NED."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from mavproxy_fault.numerics.constants import WGS84_ECCENTRICITY2, WGS84_SEMI_MAJOR_M
@@ -38,79 +38,74 @@ def moved_degrees(lat_deg: float, alt_m: float, offset_m: Three) -> tuple[float,
     )
 
 
-def move_position(frame: Frame, move: Move, alt_scale: float) -> dict[str, Number]:
-    """Return the moved `lat`, `lon` (degE7) and `alt` (`alt_scale` counts per metre)."""
+class GeodeticFields(NamedTuple):
+    """Fields beside `lat` and `lon`: counts per metre, altitudes, velocities, counts per m/s."""
+
+    per_m: float
+    altitudes: tuple[str, ...]
+    velocities: tuple[str, ...] = ()
+    per_mps: float = 1.0
+
+
+GEODETIC = {
+    "HIL_GPS": GeodeticFields(1000.0, ("alt",), ("vn", "ve", "vd"), 100.0),
+    "GPS_RAW_INT": GeodeticFields(1000.0, ("alt", "alt_ellipsoid")),
+    "GPS2_RAW": GeodeticFields(1000.0, ("alt", "alt_ellipsoid")),
+    "GPS_INPUT": GeodeticFields(1.0, ("alt",), ("vn", "ve", "vd")),
+    "GLOBAL_POSITION_INT": GeodeticFields(
+        1000.0, ("alt", "relative_alt"), ("vx", "vy", "vz"), 100.0
+    ),
+}
+
+
+def move_geodetic(frame: Frame, move: Move) -> dict[str, Number]:
+    """Move a message with latitude and longitude in degE7, its velocity, speed and course."""
+    fields = GEODETIC[frame.layout.name]
     lat, lon, alt = frame.number("lat"), frame.number("lon"), frame.number("alt")
     # The altitude of GPS_INPUT may be NaN.
-    alt_m = alt / alt_scale if math.isfinite(alt) else 0.0
+    alt_m = alt / fields.per_m if math.isfinite(alt) else 0.0
     dlat, dlon = moved_degrees(lat * 1e-7, alt_m, move.offset_m)
     # Longitude wraps at 180 degrees.
     turned = (lon * 1e-7 + dlon + 180.0) % 360.0 - 180.0
-    return {
+    values = {
         "lat": lat + round(dlat * 1e7),
         # Added in integer counts unless it wraps, to keep all digits of the healthy value.
         "lon": lon + round(dlon * 1e7) if -180.0 <= lon * 1e-7 + dlon < 180.0 else turned * 1e7,
-        "alt": alt - move.offset_m[2] * alt_scale,
     }
-
-
-def ground_speed(vn: float, ve: float) -> dict[str, Number]:
-    """Return `vel` [cm/s] and `cog` [cdeg] of a velocity [m/s]."""
-    course = math.degrees(math.atan2(ve, vn)) % 360.0
-    return {"vel": math.hypot(vn, ve) * 100.0, "cog": round(course * 100.0) % 36000}
-
-
-def move_hil_gps(frame: Frame, move: Move) -> dict[str, Number]:
-    """Move HIL_GPS: velocity in cm/s, with ground speed and course where they are known."""
-    values = move_position(frame, move, 1000.0)
+    for name in fields.altitudes:
+        # An ellipsoidal height of 0 is unknown.
+        if name in frame.layout.fields and (name != "alt_ellipsoid" or frame.number(name)):
+            values[name] = frame.number(name) - move.offset_m[2] * fields.per_m
     # Without a velocity offset, the velocity fields stay byte for byte.
-    if not any(move.velocity_mps):
-        return values
-    old = [frame.number(name) / 100.0 for name in ("vn", "ve", "vd")]
-    new = [v + dv for v, dv in zip(old, move.velocity_mps, strict=True)]
-    speed = ground_speed(new[0], new[1])
-    values |= {"vn": new[0] * 100.0, "ve": new[1] * 100.0, "vd": new[2] * 100.0}
-    # Unknown speed and course stay unknown.
-    return values | {k: v for k, v in speed.items() if frame.number(k) != UNKNOWN_U16}
-
-
-def move_gps_raw(frame: Frame, move: Move) -> dict[str, Number]:
-    """Move GPS_RAW_INT or GPS2_RAW, with velocity as ground speed and course."""
-    values = move_position(frame, move, 1000.0)
-    if "alt_ellipsoid" in frame.layout.fields and frame.number("alt_ellipsoid"):
-        values["alt_ellipsoid"] = frame.number("alt_ellipsoid") - move.offset_m[2] * 1000.0
-    vel, cog = frame.number("vel"), frame.number("cog")
-    # Unknown speed or course stay unknown; a vertical offset changes neither.
-    if UNKNOWN_U16 in (vel, cog) or not any(move.velocity_mps[:2]):
-        return values
-    course = math.radians(cog / 100.0)
-    vn = vel / 100.0 * math.cos(course) + move.velocity_mps[0]
-    ve = vel / 100.0 * math.sin(course) + move.velocity_mps[1]
-    return values | ground_speed(vn, ve)
-
-
-def move_gps_input(frame: Frame, move: Move) -> dict[str, Number]:
-    """Move GPS_INPUT, in m and m/s."""
-    values = move_position(frame, move, 1.0)
-    for name, change in zip(("vn", "ve", "vd"), move.velocity_mps, strict=True):
-        values[name] = frame.number(name) + change
+    if any(move.velocity_mps):
+        change = tuple(one * fields.per_mps for one in move.velocity_mps)
+        values |= _added(frame, fields.velocities, change) | _moved_ground_speed(frame, move)
     return values
 
 
-def move_global_position(frame: Frame, move: Move) -> dict[str, Number]:
-    """Move GLOBAL_POSITION_INT: both altitudes in mm, velocity in cm/s."""
-    values = move_position(frame, move, 1000.0)
-    values["relative_alt"] = frame.number("relative_alt") - move.offset_m[2] * 1000.0
-    for name, change in zip(("vx", "vy", "vz"), move.velocity_mps, strict=True):
-        values[name] = frame.number(name) + change * 100.0
-    return values
+def _moved_ground_speed(frame: Frame, move: Move) -> dict[str, Number]:
+    """Return `vel` [cm/s] and `cog` [cdeg] of a message that has them, as far as they are known."""
+    north_mps, east_mps, _ = move.velocity_mps
+    if "cog" not in frame.layout.fields or not (north_mps or east_mps):
+        return {}
+    known = {name for name in ("vel", "cog") if frame.number(name) != UNKNOWN_U16}
+    if "vn" in frame.layout.fields:
+        vn, ve = frame.number("vn") / 100.0, frame.number("ve") / 100.0
+    elif len(known) == 2:
+        speed_mps, course = frame.number("vel") / 100.0, math.radians(frame.number("cog") / 100.0)
+        vn, ve = speed_mps * math.cos(course), speed_mps * math.sin(course)
+    else:
+        return {}
+    vn, ve = vn + north_mps, ve + east_mps
+    course_deg = math.degrees(math.atan2(ve, vn)) % 360.0
+    moved = {"vel": math.hypot(vn, ve) * 100.0, "cog": round(course_deg * 100.0) % 36000}
+    return {name: value for name, value in moved.items() if name in known}
 
 
 def move_local_position(frame: Frame, move: Move) -> dict[str, Number]:
     """Move LOCAL_POSITION_NED."""
-    changes = (*move.offset_m, *move.velocity_mps)
     names = ("x", "y", "z", "vx", "vy", "vz")
-    return {name: frame.number(name) + c for name, c in zip(names, changes, strict=True)}
+    return _added(frame, names, (*move.offset_m, *move.velocity_mps))
 
 
 def move_odometry(frame: Frame, move: Move) -> dict[str, Number]:
@@ -123,9 +118,10 @@ def move_odometry(frame: Frame, move: Move) -> dict[str, Number]:
     if local not in (LOCAL_NED, LOCAL_ENU) or frame.number("estimator_type") in WITHOUT_SATELLITES:
         return {}
     # Convert to the axes of the message.
-    axes = _enu if local == LOCAL_ENU else _same
-    values = _added(frame, ("x", "y", "z"), axes(move.offset_m))
-    velocity = axes(move.velocity_mps)
+    offset, velocity = move.offset_m, move.velocity_mps
+    if local == LOCAL_ENU:
+        offset, velocity = _enu(offset), _enu(velocity)
+    values = _added(frame, ("x", "y", "z"), offset)
     # The velocity is in the child frame: body, local, or one without a known rotation.
     if child == BODY_FRD:
         q_nb = [float(frame.number("q", i)) for i in range(4)]
@@ -135,12 +131,8 @@ def move_odometry(frame: Frame, move: Move) -> dict[str, Number]:
     return values | _added(frame, ("vx", "vy", "vz"), velocity)
 
 
-def _added(frame: Frame, names: tuple[str, str, str], change: Three) -> dict[str, Number]:
-    return {name: frame.number(name) + c for name, c in zip(names, change, strict=True)}
-
-
-def _same(ned: Three) -> Three:
-    return ned
+def _added(frame: Frame, names: Sequence[str], change: Sequence[float]) -> dict[str, Number]:
+    return {name: frame.number(name) + c for name, c in zip(names, change, strict=False)}
 
 
 def _enu(ned: Three) -> Three:
@@ -149,11 +141,7 @@ def _enu(ned: Three) -> Three:
 
 
 MOVERS: dict[str, Callable[[Frame, Move], dict[str, Number]]] = {
-    "HIL_GPS": move_hil_gps,
-    "GPS_RAW_INT": move_gps_raw,
-    "GPS2_RAW": move_gps_raw,
-    "GPS_INPUT": move_gps_input,
-    "GLOBAL_POSITION_INT": move_global_position,
+    **dict.fromkeys(GEODETIC, move_geodetic),
     "LOCAL_POSITION_NED": move_local_position,
     "ODOMETRY": move_odometry,
 }

@@ -1,12 +1,16 @@
-"""One open byte stream (a TCP connection or a serial device) with its bounded send queue."""
+"""One open byte stream (a TCP connection or a serial device) with its bounded send queue, and links
+that open one again."""
 
 import contextlib
+import time
 from collections import deque
 from collections.abc import Callable
+from typing import Any
 
 from mavproxy_fault.links.descriptors import Descriptors
-from mavproxy_fault.links.link import QUEUE_LIMIT, LinkCounters
+from mavproxy_fault.links.link import QUEUE_LIMIT, Chunk, LinkCounters
 
+REOPEN_S = 0.5  # chosen: two attempts per second cost nothing
 READ_SIZE = 32_768  # bytes; junk read at once must still fit one datagram
 
 
@@ -108,3 +112,83 @@ class Stream:
         if wanted != self._awaits_room:
             self._awaits_room = wanted
             self._descriptors.watch_writable(self.fileno, wanted=wanted)
+
+
+class ReopenedLink:
+    """Base of links with one stream, which is opened again after it was lost.
+
+    `_open` returns what it has opened (a socket, a device) and its stream, or raises OSError.
+    """
+
+    datagrams = False
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.counters = LinkCounters()
+        self._descriptors = Descriptors()
+        self._peer: tuple[Any, Stream] | None = None
+        self._number = 0  # of the stream: an incomplete frame is not continued in the next one
+        self._retry_s = 0.0
+
+    def _open(self) -> tuple[Any, Stream]:
+        raise NotImplementedError
+
+    def _is_open(self, _: Any, stream: Stream) -> bool:
+        """Whether a stream can be read yet."""
+        return stream.open
+
+    def _read(self, _: Any, stream: Stream) -> tuple[bytes, bool]:
+        return stream.read()
+
+    @property
+    def peer_count(self) -> int:
+        """1 while it is open."""
+        return int(self._peer is not None and self._peer[1].open)
+
+    def filenos(self) -> list[int]:
+        """Return the descriptors of the present stream."""
+        return self._descriptors.filenos()
+
+    def read(self) -> list[Chunk]:
+        """Open a lost stream, continue pending writes, and return received data."""
+        if self._peer is None:
+            if time.monotonic() >= self._retry_s:
+                self._reopen()
+            return []
+        if not self._is_open(*self._peer):
+            return []
+        self._peer[1].flush()
+        data, is_open = self._read(*self._peer)
+        chunks = [(self._number, data)] if data else []
+        if not is_open:
+            self._lose()
+            chunks.append((self._number, b""))
+            self._number += 1
+        return chunks
+
+    def _reopen(self) -> None:
+        self._retry_s = time.monotonic() + REOPEN_S
+        with contextlib.suppress(OSError):
+            self._peer = self._open()
+
+    def _lose(self) -> None:
+        self.counters.errors += 1
+        self._abandon()
+
+    def _abandon(self) -> None:
+        if self._peer is not None:
+            self._peer[1].abandon()
+            self._peer[0].close()
+            self._peer = None
+
+    def write(self, data: bytes) -> None:
+        """Send one chunk; it is dropped while there is no stream, as it would be stale later."""
+        if self._peer is None:
+            self.counters.drops += 1
+        else:
+            self._peer[1].write(data)
+
+    def close(self) -> None:
+        """Close the stream."""
+        self._abandon()
+        self._descriptors.close()

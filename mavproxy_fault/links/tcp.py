@@ -15,10 +15,9 @@ from typing import Any
 from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import Chunk, LinkCounters, host_port
 from mavproxy_fault.links.peers import MAX_PEERS
-from mavproxy_fault.links.stream import READ_SIZE, Stream
+from mavproxy_fault.links.stream import READ_SIZE, REOPEN_S, ReopenedLink, Stream
 
 LOG = logging.getLogger(__name__)
-RECONNECT_S = 0.5  # chosen: two attempts per second cost nothing
 ACCEPT_CHECK_S = 0.1  # between checks for new connections while a single peer sends continuously
 ACCEPT_PAUSE_S = 0.5  # without accepting connections after running out of descriptors
 KEEPALIVE_IDLE_S = 60  # idle time before 3 probes at 10 s: a lost peer is found in 90 s
@@ -250,42 +249,25 @@ class TcpServer:
         self._descriptors.close()
 
 
-class TcpClient:
+class TcpClient(ReopenedLink):
     """Connects to a server and reconnects whenever the connection is lost."""
 
-    datagrams = False
-
     def __init__(self, host: str, port: int) -> None:
+        super().__init__(f"tcp:{host_port(host, port)}")
         address_info = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         self._family = address_info[0]
         self._address = address_info[4]
-        self.name = f"tcp:{host_port(host, port)}"
-        self.counters = LinkCounters()
-        self._descriptors = Descriptors()
-        self._peer: tuple[socket.socket, Stream] | None = None
-        self._number = 0
-        self._retry_s = 0.0
         self._warned = False
-        self._connect()
-
-    @property
-    def peer_count(self) -> int:
-        """1 while connected."""
-        return int(self._peer is not None and self._peer[1].open)
-
-    def filenos(self) -> list[int]:
-        """Return the descriptors of the present connection."""
-        return self._descriptors.filenos()
+        self._reopen()
 
     def interrupt(self, how: str) -> None:
         """Let the connection end as a fault asks, `kept` to go on; repeated while it is active."""
         if how != "kept":
-            self._retry_s = time.monotonic() + RECONNECT_S
+            self._retry_s = time.monotonic() + REOPEN_S
             if self._peer is not None:
                 _end(self._peer[0], how)
 
-    def _connect(self) -> None:
-        self._retry_s = time.monotonic() + RECONNECT_S
+    def _open(self) -> tuple[socket.socket, Stream]:
         try:
             sock = socket.socket(self._family, socket.SOCK_STREAM)
         except OSError as error:  # no descriptors: retried at the next attempt
@@ -293,65 +275,29 @@ class TcpClient:
             if not self._warned:
                 LOG.warning("%s: no connection: %s", self.name, error)
                 self._warned = True
-            return
+            raise
         _prepare(sock)
         # Non-blocking: the descriptor becomes ready when the connection succeeds or fails.
         sock.connect_ex(self._address)
         stream = _stream(sock, self._descriptors, self.counters)
         stream.await_open()
-        self._peer = (sock, stream)
+        return sock, stream
 
-    def read(self) -> list[Chunk]:
-        """Continue connecting or pending writes, and return received data."""
-        if self._peer is None:
-            if time.monotonic() >= self._retry_s:
-                self._connect()
-            return []
-        sock, stream = self._peer
-        if not stream.open and not self._finish_connecting(sock, stream):
-            return []
-        stream.flush()
-        data, is_open = stream.read()
-        chunks = [(self._number, data)] if data else []
-        if not is_open:
-            self._lose(sock, stream)
-            chunks.append((self._number, b""))
-            self._number += 1
-        return chunks
-
-    def _finish_connecting(self, sock: socket.socket, stream: Stream) -> bool:
-        if not self._descriptors.ready():
-            return False
+    def _is_open(self, sock: socket.socket, stream: Stream) -> bool:
+        if stream.open or not self._descriptors.ready():
+            return stream.open
         # A failed connection is also writable; only SO_ERROR distinguishes them.
         if sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) or _is_self_connected(sock):
-            self._lose(sock, stream)
+            self._lose()
             return False
         stream.open = True
         return True
 
-    def _lose(self, sock: socket.socket, stream: Stream) -> None:
+    def _lose(self) -> None:
         # Warn of a lost connection, but not of attempts to reach a missing server.
-        if stream.open:
+        if self.peer_count:
             LOG.warning("%s: the connection was lost; reconnecting", self.name)
-        stream.abandon()
-        sock.close()
-        self._peer = None
-        self.counters.errors += 1
-
-    def write(self, data: bytes) -> None:
-        """Send one chunk; it is dropped while not connected, as it would be stale later."""
-        if self._peer is None:
-            self.counters.drops += 1
-        else:
-            self._peer[1].write(data)
-
-    def close(self) -> None:
-        """Close the connection."""
-        if self._peer is not None:
-            self._peer[1].abandon()
-            self._peer[0].close()
-            self._peer = None
-        self._descriptors.close()
+        super()._lose()
 
 
 OPENERS = {"tcp": TcpClient, "tcpin": TcpServer}

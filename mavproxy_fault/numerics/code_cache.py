@@ -35,13 +35,18 @@ STALE_S = 7 * 86_400.0  # unused for a week: an update's, or an edit's
 
 
 @cache
-def source_digest(path: Path) -> str:
-    """Return the digest of the code in a file, and in all files of ours that it needs."""
-    found, waiting = set(), {path}
+def source_digest(*paths: Path) -> str:
+    """Return the digest of the code in some files, and in all files of ours that they need."""
+    return code_digest([one.read_bytes() for one in sorted(reachable_sources(*paths))])
+
+
+def reachable_sources(*paths: Path) -> set[Path]:
+    """Return files and all files of ours that they import, directly or not."""
+    found, waiting = set(), set(paths)
     while waiting:
         found.add(one := waiting.pop())
         waiting |= _imports(one) - found
-    return code_digest([one.read_bytes() for one in sorted(found)])
+    return found
 
 
 @cache

@@ -8,7 +8,9 @@ from zlib import crc32
 import msgspec
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.fault_parts import hits
 from mavproxy_fault.fault_parts.fault import Outgoing
+from mavproxy_fault.fault_parts.memory import Memory
 from mavproxy_fault.proxy.interfaces import NEVER_US
 from mavproxy_fault.schedule.entries import Entry
 from mavproxy_fault.schedule.triggers import Telemetry
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.random import Generator
 
 LOG = logging.getLogger(__name__)
-BOTH_DIRECTIONS = "both"  # directions of one activation
+DIRECTIONS = "", "to-vehicle", "from-vehicle", "both"  # of an activation, by bit mask
 VALUE_LABEL_INTERVAL_US = 200_000  # between two labels of new values: a slider moves faster
 
 
@@ -72,14 +74,11 @@ class ActiveEntry:
         self.end_us = self._end()
         self.active = False
         self.starts = 0
-        self.frames = self.sealed = self.saturated = 0
+        self.counts = Memory(hits.COUNTS)
         self._earlier_frames = 0  # of earlier activations
         self.failures = 0  # frames on which the fault raised an error
         self.failure: str | None = None
-        self._largest = -1.0  # change of the present activation; negative: none with a magnitude
-        self.first_us: int | None = None
         self.needs_attention = False  # for the engine: a first frame, a new value, or an early end
-        self.direction = ""
         self.states: dict[str, Any] = {}
         self.rng = cast("Generator", LazyGenerator(seed, entry.id))
         self.chance_rng = cast("Generator", LazyGenerator(seed, entry.id + " probability"))
@@ -111,7 +110,20 @@ class ActiveEntry:
     @property
     def magnitude(self) -> float | None:
         """The largest change of the present activation."""
-        return self._largest if self._largest >= 0.0 else None
+        largest = self.counts.numbers[hits.LARGEST]
+        if not self.frames or largest < 0.0:
+            return None
+        return int(largest) if self._whole else largest  # a change of integers is an integer
+
+    @property
+    def frames(self) -> int:
+        """Frames changed in the present activation."""
+        return int(self.counts.numbers[hits.FRAMES])
+
+    @property
+    def first_us(self) -> int | None:
+        """Time of the first changed frame of the present activation."""
+        return int(self.counts.numbers[hits.FIRST_US]) if self.frames else None
 
     @property
     def total_frames(self) -> int:
@@ -239,7 +251,7 @@ class ActiveEntry:
         if not self.takes_unknown or instance is not None or not self.matches(data, direction):
             return False
         if sealed and not self.takes_sealed:
-            self.sealed += 1
+            self.note_sealed()
             return False
         return True
 
@@ -258,12 +270,16 @@ class ActiveEntry:
         # Of buffered frames only those with a magnitude were changed.
         touched = sum(out.magnitude is not None for out in sends) if self.keeps_back else 1
         if touched:
-            self.note_changed_frame(direction, t_us)
+            self.needs_attention |= not self.frames
             sizes = [out.magnitude for out in sends if out.magnitude is not None]
-            # NaN and infinity would spoil the maximum permanently.
             largest = max((size for size in sizes if math.isfinite(size)), default=-1.0)
-            self.count_frames(touched, sum(out.saturated for out in sends), largest)
+            saturated, way = sum(out.saturated for out in sends), DIRECTIONS.index(direction) - 1
+            hits.note_hits(self.counts.numbers, t_us, way, touched, saturated, largest)
         return sends
+
+    def note_sealed(self) -> None:
+        """Count a signed frame that the fault could not change."""
+        self.counts.numbers[hits.SEALED] += 1.0
 
     def skips_by_chance(self) -> bool:
         """Whether the entry's probability exempts this frame."""
@@ -276,15 +292,6 @@ class ActiveEntry:
             LOG.exception("fault %s failed; its frames are forwarded unchanged", self.entry.id)
         self.failures += 1
         self.failure = repr(error)
-
-    def note_changed_frame(self, direction: str, t_us: int) -> None:
-        """Record that a frame of this direction was changed."""
-        if self.first_us is None:
-            self.first_us = t_us
-            self.direction = direction
-            self.needs_attention = True
-        elif self.direction != direction:
-            self.direction = BOTH_DIRECTIONS
 
     def _apply(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
         """Apply the fault to a frame and update its state for that direction."""
@@ -309,15 +316,6 @@ class ActiveEntry:
             state = self.fault.fed(state, *self.live)
         self.states[direction] = state
         return state
-
-    def count_frames(self, frames: int, saturated: int, magnitude: float) -> None:
-        """Add to this entry's counts; a negative magnitude means none."""
-        # A change of integers is written as an integer.
-        magnitude = (int if self._whole else float)(magnitude)
-        self.frames += frames
-        self.saturated += saturated
-        if magnitude > self._largest:
-            self._largest = magnitude
 
     def release_us(self) -> int:
         """Time at which the fault must release its oldest buffered frame."""
@@ -349,13 +347,13 @@ class ActiveEntry:
             fault=entry.name,
             preset=entry.preset,
             targets=entry.targets,
-            direction=self.direction,
+            direction=DIRECTIONS[int(self.counts.numbers[hits.WAYS])],
             t0_us=self.t0_us,
             start_us=self.first_us or 0,
             end_us=end_us,
             frames=self.frames,
             magnitude=self.magnitude,
-            saturated=self.saturated,
+            saturated=int(self.counts.numbers[hits.SATURATED]),
             where=where,
             parameters=entry.parameters,
             seed=self.seed,
@@ -388,10 +386,8 @@ class ActiveEntry:
         # a reply without a timestamp.
         label = None if self.first_us is None else self.label(max(t_us, self.first_us))
         self._earlier_frames += self.frames
-        self.frames = self.saturated = 0
-        self._largest = -1.0
-        self.first_us = self.changed_us = self._announced_us = None
-        self.direction = ""
+        self.counts.write([0.0] * hits.SEALED)
+        self.changed_us = self._announced_us = None
         return label
 
     def set_value(self, value: float, t_us: int, latency_us: int | None) -> None:
@@ -448,7 +444,7 @@ class ActiveEntry:
         """Return its state for pages and the bus; the same object while unchanged."""
         now = (
             self.active, self.starts, self.start_us, self.end_us, self.total_frames, self.magnitude,
-            self.saturated, self.sealed, self.failures, self.latency_us, self.value,
+            *self.counts.numbers, self.failures, self.latency_us, self.value,
         )  # fmt: skip
         # Nearly all of a thousand entries wait: describing them again would delay frames.
         if now != self._described:
@@ -467,8 +463,8 @@ class ActiveEntry:
             "end_us": self.end_us if self.end_us < NEVER_US else None,
             "frames": self.total_frames,
             "magnitude": self.magnitude,
-            "saturated": self.saturated,
-            "signed_skipped": self.sealed,
+            "saturated": int(self.counts.numbers[hits.SATURATED]),
+            "signed_skipped": int(self.counts.numbers[hits.SEALED]),
             "failures": self.failures,
             "failure": self.failure,
             "latency_us": self.latency_us,

@@ -6,7 +6,7 @@ output of the one before; one that counts in link time acts when that output is 
 in `wanted` need to pass through the engine; inactive entries cost nothing.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from heapq import heapify, heappop, heappush
 from typing import Any
 
@@ -55,7 +55,6 @@ class Engine:
         self._labels: list[Label] = []
         self._noted: dict[str, Label] = {}  # open labels of what the vehicle itself does
         self._released: list[Outgoing] = []  # released by a fault that ended
-        self.collect: Callable[[], object] = lambda: None  # adds what compiled code has counted
         self._update_wanted()
 
     @property
@@ -154,7 +153,6 @@ class Engine:
         self._index()
 
     def _end(self, running: ActiveEntry, t_us: int) -> None:
-        self.collect()
         self._released += running.release(t_us, overdue=False)
         label = running.close(t_us)
         if label is not None:
@@ -218,10 +216,8 @@ class Engine:
         found: dict[int, str] = {}
         for running in self._all:
             how = getattr(running.fault, "connection", "kept") if running.active else "kept"
-            if how != "kept":
-                self.collect()
-                if running.frames or not running.fault.after_bytes:
-                    found[running.endpoint_links] = how
+            if how != "kept" and (running.frames or not running.fault.after_bytes):
+                found[running.endpoint_links] = how
         return found
 
     @property
@@ -258,7 +254,7 @@ class Engine:
             if not running.matches_all and not running.matches(frame, direction):
                 continue
             if sealed and not running.takes_sealed:
-                running.sealed += 1
+                running.note_sealed()
                 continue
             sends = _apply_to_outgoing(running, sends, direction, t_us, route)
             if running.needs_attention:
@@ -275,11 +271,11 @@ class Engine:
         if news is not None:
             self._labels.append(news)
 
-    def attend_all(self, times_us: Mapping[int, int]) -> None:
-        """Attend to entries in the order of the schedule, given the times by their identities."""
-        for running in self._all if times_us else ():
-            if id(running) in times_us:
-                self.attend(running, times_us[id(running)])
+    def attend_begun(self) -> None:
+        """Attend to the entries that have changed a first frame outside of the core."""
+        for running in self._all:
+            if running.first_us is not None and running.label_us == -NEVER_US:
+                self.attend(running, running.first_us)
 
     def _watch(self, frame: Frame) -> None:
         """Check the conditions against a frame as received, before any fault acts on it."""
@@ -498,7 +494,6 @@ class Engine:
 
     def state(self) -> dict[str, Any]:
         """Return the state of the schedule and every fault, for pages and the bus."""
-        self.collect()
         return {
             "t0_us": self.t0_us,
             "now_us": self.now_us,

@@ -11,13 +11,12 @@ References
 .. [1] MAVLink developer guide, "Packet Serialization".
 """
 
-import math
 import struct
 from collections.abc import Mapping
 
 from fastcrc.crc16 import mcrf4xx
 
-from mavproxy_fault.wire.dialect import Field, Layout
+from mavproxy_fault.wire.dialect import Layout
 
 STX_V1 = 0xFE
 STX_V2 = 0xFD
@@ -51,7 +50,7 @@ _packings: dict[int, Packing] = {}  # by message id
 class Frame:
     """The received bytes of one message with a correct CRC, and its decoded header.
 
-    `raw` is never changed; `patched` returns a new frame.
+    `raw` is never changed; `with_payload` returns a new frame.
     """
 
     __slots__ = ("component", "id", "layout", "length", "payload_at", "raw", "seq", "system")
@@ -118,26 +117,6 @@ class Frame:
             for field in self.layout.fields.values()
         }
 
-    def patched(self, changes: Mapping[tuple[str, int], Number]) -> "Frame":
-        """Return a frame with elements changed, keyed by (field, index), and a new CRC.
-
-        Integers saturate at the limits of their type. The payload keeps its length unless the
-        change reaches into truncated zeros; then it grows only as far as needed. A signed frame
-        keeps its old signature, which is now wrong: the caller must sign it again.
-        """
-        payload = bytearray(self.payload)
-        for (name, index), value in changes.items():
-            field = self.layout.fields[name]
-            start = field.offset + index * field.size
-            data = field.packer.pack(saturate_value(field, value))
-            if start + field.size > len(payload):
-                # Omit trailing zeros beyond the present payload, but keep all bytes inside it.
-                data = data[: max(len(data.rstrip(b"\0")), len(payload) - start, 0)]
-                if data:  # a zero in the truncated part needs no byte
-                    payload.extend(bytes(start + len(data) - len(payload)))
-            payload[start : start + len(data)] = data
-        return self.with_payload(bytes(payload))
-
     def with_payload(self, payload: bytes) -> "Frame":
         """Return this frame with another payload and updated length and CRC."""
         raw = self.raw
@@ -146,20 +125,6 @@ class Frame:
         # Unchanged; the holder of the key signs again.
         signature = raw[self.payload_at + self.length + 2 :]
         return Frame(head + payload + struct.pack("<H", crc) + signature, self.layout)
-
-
-def saturate_value(field: Field, value: Number) -> Number:
-    """Clamp a value to the range of the field's type; NaN becomes 0 in an integer field."""
-    code = field.code
-    if code == "d":
-        return float(value)
-    if code == "f":
-        return max(-FLOAT_MAX, min(FLOAT_MAX, value)) if math.isfinite(value) else value
-    low, high = INTEGER_LIMITS[code]
-    # round(NaN) would raise.
-    if value != value:
-        return 0
-    return low if value <= low else high if value >= high else round(value)
 
 
 def build_frame(

@@ -10,6 +10,7 @@ import math
 from mavproxy_fault.ardupilot.feeding.optical_flow import FlowInput
 from mavproxy_fault.ardupilot.feeding.vectornav import GPS_EPOCH_US, SPEED_SIGMA_MPS, dilution
 from mavproxy_fault.ardupilot.hil_readings import ID_GPS
+from mavproxy_fault.fault_parts.elements import Element, locate_element, patch_frame
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 
@@ -49,14 +50,14 @@ def adapt_vision_pose(frame: Frame) -> Frame:
     internal error that prevents arming. It replaces a variance of 0 by VISO_YAW_M_NSE.
     """
     covariance = COVARIANCES[frame.layout.name]
-    values: dict[tuple[str, int], float] = {
-        (covariance, place): 0.0
+    values: dict[Element, float] = {
+        locate_element(frame.layout, covariance, place): 0.0
         for place in ATTITUDE_VARIANCES
         if math.isnan(frame.number(covariance, place))
     }
     if frame.layout.name == "ODOMETRY" and frame.number("frame_id") == LOCAL_NED:
-        values["frame_id", 0] = LOCAL_FRD
-    return frame.patched(values) if values else frame
+        values[locate_element(frame.layout, "frame_id")] = LOCAL_FRD
+    return patch_frame(frame, values)
 
 
 def set_parameter(name: str, value: float) -> bytes:

@@ -7,7 +7,8 @@ import pytest
 
 from mavproxy_fault.compiled import object_file
 from mavproxy_fault.compiled.compiled_core import CompiledCore
-from mavproxy_fault.compiled.object_file import PACKAGE, load, make, sources
+from mavproxy_fault.compiled.object_file import PACKAGE, load, make
+from mavproxy_fault.numerics.code_cache import reachable_sources
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole
@@ -64,10 +65,10 @@ def test_every_file_that_is_compiled_in_is_among_the_sources() -> None:
     )
     printed = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
     files = {Path(line) for line in printed.stdout.decode().splitlines()}
-    ours = {str(file.relative_to(PACKAGE)) for file in files if file.is_relative_to(PACKAGE)}
-    compiled_in = {name for name in ours if not name.endswith("__init__.py")}
-    assert "proxy/sender_rules.py" in compiled_in
-    assert compiled_in <= set(sources())
+    ours = {file for file in files if file.is_relative_to(PACKAGE)}
+    compiled_in = {file for file in ours if file.name != "__init__.py"}
+    assert PACKAGE / "proxy/sender_rules.py" in compiled_in
+    assert compiled_in <= reachable_sources(*object_file.ROOTS)
 
 
 def test_a_rule_may_call_the_functions_of_libm() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links import serial_port
+from mavproxy_fault.links import serial_port, stream
 from mavproxy_fault.links.serial_port import SerialPort
 from mavproxy_fault.links.spec import open_link
 
@@ -26,7 +26,7 @@ def test_a_serial_device_carries_bytes_both_ways() -> None:
 
 
 def test_an_unplugged_device_is_reopened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serial_port, "REOPEN_S", 0.0)
+    monkeypatch.setattr(stream, "REOPEN_S", 0.0)
     device = tmp_path / "tty"
     master, slave = os.openpty()
     device.symlink_to(os.ttyname(slave))
@@ -55,7 +55,7 @@ def test_an_unplugged_device_is_reopened(tmp_path: Path, monkeypatch: pytest.Mon
 def test_a_device_unplugged_during_opening_is_opened_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(serial_port, "REOPEN_S", 0.0)
+    monkeypatch.setattr(stream, "REOPEN_S", 0.0)
     device = tmp_path / "tty"
     master, slave = os.openpty()
     device.symlink_to(os.ttyname(slave))

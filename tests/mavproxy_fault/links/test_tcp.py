@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mavproxy_fault.links import tcp
+from mavproxy_fault.links import stream, tcp
 from mavproxy_fault.links.link import QUEUE_LIMIT, Chunk
 from mavproxy_fault.links.peers import MAX_PEERS
 from mavproxy_fault.links.stream import READ_SIZE
@@ -137,7 +137,7 @@ def test_several_chunks_leave_together_and_are_counted_one_by_one(server: TcpSer
 
 
 def test_a_client_connects_when_its_server_appears(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tcp, "RECONNECT_S", 0.0)
+    monkeypatch.setattr(stream, "REOPEN_S", 0.0)
     with socket.create_server(("127.0.0.1", 0)) as place:
         port = place.getsockname()[1]
     client = TcpClient("127.0.0.1", port)
@@ -216,12 +216,12 @@ def test_a_client_without_a_descriptor_reports_it_once_and_connects_later(
             sock.shutdown(socket.SHUT_RDWR)
             read_until(client, lambda chunks: (0, b"") in chunks)
             for _ in range(3):
-                now_s[0] += tcp.RECONNECT_S
+                now_s[0] += stream.REOPEN_S
                 assert client.read() == []
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, limits)
         assert caplog.text.count("no connection: [Errno 24]") == 1
-        now_s[0] += tcp.RECONNECT_S
+        now_s[0] += stream.REOPEN_S
         client.read()
         read_until(client, lambda _: client.peer_count == 1)
     finally:

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as mavlink
 from pyrtcm import calc_crc24q
 
+from mavproxy_fault.fault_parts.elements import locate_element, patch_frame
 from mavproxy_fault.rtcm.msm7 import encode_epoch
 from mavproxy_fault.rtcm.transport import (
     FRAGMENT_BYTES,
@@ -169,7 +170,8 @@ def test_a_tunnel_payload_that_ends_with_zeros_is_restored() -> None:
 
 def test_another_tunnel_payload_type_is_ignored() -> None:
     frame = Frame(tunnel_frames(EXAMPLE, 0)[0], message_layout("TUNNEL"))
-    assert tunnel_payload(frame.patched({("payload_type", 0): 200})) is None
+    kind = locate_element(frame.layout, "payload_type")
+    assert tunnel_payload(patch_frame(frame, {kind: 200})) is None
 
 
 def test_twelve_satellites_of_two_systems_fit_two_frames_each() -> None:
