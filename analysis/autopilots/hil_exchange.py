@@ -205,24 +205,21 @@ class AutopilotSender:
 
     def _note_step(self, data: bytes) -> None:
         """Store the timestamp of a step found in MAVLink 2 frames."""
-        number, below_bytes = self._step
-        at, end = 0, len(data) - HEADER_V2
-        while at < end:
-            if data[at + 7] == number and data[at + 1] < below_bytes:
-                self.step_us = int.from_bytes(data[at:][STAMP_BYTES], "little")
-            at += HEADER_V2 + data[at + 1] + CRC_LENGTH
+        for start, end, number in walk_frames(data):
+            if number == self._step.number and data[start + 1] < self._step.below_bytes:
+                self.step_us = int.from_bytes(data[start:end][STAMP_BYTES], "little")
 
 
 def frame_message_id(raw: bytes) -> int:
-    """Return the message id of a frame."""
-    return int.from_bytes(raw[7:10], "little") if raw[0] == STX_V2 else raw[5]
+    """Return the message id of the first frame."""
+    return next(walk_frames(raw))[2]
 
 
 def trusted_frame(raw: bytes) -> Frame:
     """Wrap a frame that needs no check: packed here, or verified before."""
-    message_layout = find_layout(frame_message_id(raw))
-    assert message_layout is not None
-    return Frame(raw, message_layout)
+    layout = find_layout(frame_message_id(raw))
+    assert layout is not None
+    return Frame(raw, layout)
 
 
 class WaitableProcess(Protocol):

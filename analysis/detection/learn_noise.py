@@ -33,17 +33,14 @@ from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document, write_yaml
 
-LEAST_EPOCHS, MOST_EPOCHS = (
-    20,
-    300,
-)  # chosen: fewer give little more than noise, more change nothing
+# Chosen: fewer give little more than noise, more change nothing
+LEAST_EPOCHS, MOST_EPOCHS = 20, 300
 LEAST_IN_CELL = 30  # residuals: a robust variance of fewer is uncertain by a third
 CELLS = (4, 3)  # of C/N0, of elevation
 MOST_SIGMAS = 5.0  # that a residual counts for: a standing multipath has four
 HUBER = 1.5  # sigmas: 95 % efficient for normal errors
-LEAST_OWN = (
-    0.2  # of a residual that the solution leaves: one with less tests its own satellite alone
-)
+# Of a residual that the solution leaves: one with less tests its own satellite alone
+LEAST_OWN = 0.2
 ROUNDS = 6
 VAGUE = 1e-9  # 1/m^2: keeps the geometry of few satellites regular
 LEAST_FACTOR, MOST_FACTOR = 0.3, 12.0  # of the model: a simulated receiver has 0.4, telephones 7
@@ -85,11 +82,10 @@ def learn_noise(samples: Iterable[Sample], config: DetectorConfig) -> RecordedNo
     sigma_m = shaped.sigma_m(np.arcsin(sine), cn0)
     factors = _system_factors(system, residual / sigma_m, before)
     # By system within the bounds, as the fitted terms may be larger or smaller than the model's.
-    for kind in range(CLOCKS):
-        mine = system == kind
-        if mine.any():
-            ratio = factors[kind] / before.systems[kind] * np.median(sigma_m[mine] / modelled[mine])
-            factors[kind] *= min(max(ratio, LEAST_FACTOR), MOST_FACTOR) / ratio
+    for kind in set(system.tolist()):
+        grown = np.median((sigma_m / modelled)[system == kind])
+        ratio = factors[kind] / before.systems[kind] * grown
+        factors[kind] *= min(max(ratio, LEAST_FACTOR), MOST_FACTOR) / ratio
     gps, galileo, glonass, beidou = factors.round(4).tolist()
     learnt = replace(shaped, systems=(gps, galileo, glonass, beidou))
     if len(rates) >= LEAST_IN_CELL:
@@ -121,17 +117,16 @@ def _residuals(samples: Iterable[Sample], config: DetectorConfig) -> tuple[Vecto
         elif isinstance(sample, Epoch):
             epochs.append(sample)
     tables, rates = [np.empty((0, 4))], [np.empty(0)]
-    x = np.zeros(X_SIZE)
+    near: Vector | None = None
     for epoch in epochs[:: max(len(epochs) // MOST_EPOCHS, 1)]:
         selection = select_ephemerides(epoch, broadcast.ephemerides, config.systems)
         observation = observe_epoch(epoch, selection)
         if observation is None:
             continue
-        near = solve_snapshot(observation, x, config, broadcast.ionosphere)
-        x = np.zeros(X_SIZE)
+        start = np.zeros(X_SIZE) if near is None else near
+        near = solve_snapshot(observation, start, config, broadcast.ionosphere)
         if near is not None:
-            x = near
-            found = list(_epoch_residuals(observation, x, config, broadcast.ionosphere))
+            found = list(_epoch_residuals(observation, near, config, broadcast.ionosphere))
             tables.extend(found[:1])
             rates.extend(found[1:])
     return np.vstack(tables), np.concatenate(rates), sum(len(table) > 0 for table in tables)
@@ -193,13 +188,8 @@ def _fit_shape(
     """The model's three terms from robust variances in cells, by least squares without negative
     terms; the terms as they are, where the recording has too few cells."""
     # 0.05 rad keeps the term finite at the horizon, as in the model.
-    terms = np.column_stack(
-        [
-            np.ones(len(sine)),
-            np.maximum(sine, math.sin(0.05)) ** -2.0,
-            10.0 ** ((45.0 - cn0) / 10.0),
-        ]
-    )
+    zenith, thermal = np.maximum(sine, math.sin(0.05)) ** -2.0, 10.0 ** ((45.0 - cn0) / 10.0)
+    terms = np.column_stack([np.ones(len(sine)), zenith, thermal])
     rows, variances, weights = [], [], []
     for strong in np.array_split(np.argsort(cn0), CELLS[0]):
         for cell in np.array_split(strong[np.argsort(sine[strong])], CELLS[1]):
@@ -216,14 +206,9 @@ def _fit_shape(
     found = _fit_positive(np.array(rows) * weight[:, None], np.array(variances) * weight)
     # As large as the model in the median: the factors of the systems then say how noisy they are.
     found *= np.median(modelled**2) / max(float(np.median(terms @ found)), 1e-9)
-    floor, zenith, thermal = np.sqrt(found).tolist()
-    return replace(
-        before,
-        scale=1.0,
-        floor_m=round(max(floor, LEAST_FLOOR_M), 4),
-        zenith_m=round(zenith, 4),
-        thermal_m=round(thermal, 4),
-    )
+    floor_m, zenith_m, thermal_m = np.sqrt(found).round(4).tolist()
+    floor_m = max(floor_m, LEAST_FLOOR_M)
+    return replace(before, scale=1.0, floor_m=floor_m, zenith_m=zenith_m, thermal_m=thermal_m)
 
 
 def _fit_positive(a: Vector, b: Vector) -> Vector:

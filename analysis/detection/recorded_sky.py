@@ -9,11 +9,10 @@ from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.ephemerides import StoredOrbit, select_ephemerides
 from analysis.detection.filter.inertial import X_SIZE
 from analysis.detection.filter.measurement import observe_epoch
-from analysis.detection.sky_geometry import NO_IONOSPHERE, orbits_of
+from analysis.detection.sky_geometry import NO_IONOSPHERE, epochs_of, orbits_of
 from analysis.detection.stages.initial_fix import solve_snapshot
 from analysis.orbits.broadcast import POSITION, VELOCITY
 from analysis.recordings.read_recordings import read_rinex
-from analysis.samples.block import EPOCH
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
@@ -36,9 +35,7 @@ def recorded_sky(
         If a file cannot be read, or no epoch gives a position.
     """
     block = read_rinex(observations, navigation)
-    samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
-    epochs = {sample.t_us: sample for sample in samples if isinstance(sample, Epoch)}
-    orbits = orbits_of(block)
+    epochs, orbits = epochs_of(block), orbits_of(block)
     fixes = (locate_receiver(epoch, orbits) for epoch in epochs.values())
     r_ecef_m = next((place for place in fixes if place is not None), None)
     if r_ecef_m is None:

@@ -38,9 +38,11 @@ class RecordedSky:
     """The sky of a complete recording, for its results in blocks of any size."""
 
     def __init__(self, block: Block, config: DetectorConfig) -> None:
-        samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
-        self._epochs = {s.t_us: s for s in samples if isinstance(s, Epoch)}
-        self._orbits, self._systems = orbits_of(block), config.systems
+        self._epochs, self._orbits, self._systems = (
+            epochs_of(block),
+            orbits_of(block),
+            config.systems,
+        )
         self._selection: EphemerisSelection | None = None
 
     def add_sky(self, results: Sequence[Result]) -> list[Result]:
@@ -55,7 +57,34 @@ class RecordedSky:
             return decision
         if self._selection is None or not self._selection.is_valid_for(epoch):
             self._selection = select_ephemerides(epoch, self._orbits, self._systems)
-        return _with_sky(decision, epoch, self._selection)
+        observation = observe_epoch(epoch, self._selection)
+        if observation is None or not set(decision.satellites) <= set(observation.satellites):
+            return decision
+        r_ecef_m, measured = np.array(decision.position_ecef_m), observation.measurements
+        table = predict_ranges(
+            observation.satellite_states, r_ecef_m, AT_REST, measured.tow_s, NO_IONOSPHERE
+        )
+        places = {name: i for i, name in enumerate(observation.satellites)}
+        at = [places[name] for name in decision.satellites]
+        signals = dict(zip(epoch.satellites, epoch.signals, strict=False))
+        used = [places[name] for name in decision.satellites if name not in decision.excluded]
+        lines_of_sight = table[used, LINE_OF_SIGHT : LINE_OF_SIGHT + 3]
+        hdop, vdop = _dilution(lines_of_sight, measured.system[used], r_ecef_m)
+        return replace(
+            decision,
+            elevation_deg=tuple(np.degrees(table[at, ELEVATION]).round(2).tolist()),
+            azimuth_deg=tuple((np.degrees(table[at, AZIMUTH]) % 360.0).round(2).tolist()),
+            cn0_dbhz=tuple(c if math.isfinite(c) else None for c in measured.cn0_dbhz[at].tolist()),
+            signals=tuple(signals.get(name, "") for name in decision.satellites),
+            hdop=hdop,
+            vdop=vdop,
+        )
+
+
+def epochs_of(block: Block) -> dict[int, Epoch]:
+    """All epochs of a recording by their stamp."""
+    samples = [block.beside[row] for row in block.rows(EPOCH).tolist()]
+    return {sample.t_us: sample for sample in samples if isinstance(sample, Epoch)}
 
 
 def orbits_of(block: Block) -> dict[str, tuple[StoredOrbit, ...]]:
@@ -68,42 +97,6 @@ def orbits_of(block: Block) -> dict[str, tuple[StoredOrbit, ...]]:
         own = (sample.ephemeris, pack_ephemeris(sample.ephemeris))
         found[name] = (*found.get(name, ()), own)
     return found
-
-
-def _with_sky(decision: Decision, epoch: Epoch, selection: EphemerisSelection) -> Decision:
-    observation = observe_epoch(epoch, selection)
-    if observation is None:
-        return decision
-    r_ecef_m = np.array(decision.position_ecef_m)
-    table = predict_ranges(
-        observation.satellite_states,
-        r_ecef_m,
-        AT_REST,
-        observation.measurements.tow_s,
-        NO_IONOSPHERE,
-    )
-    places = {name: i for i, name in enumerate(observation.satellites)}
-    if not all(name in places for name in decision.satellites):
-        return decision
-    at = [places[name] for name in decision.satellites]
-    signals = dict(zip(epoch.satellites, epoch.signals, strict=False))
-    used = [places[name] for name in decision.satellites if name not in decision.excluded]
-    hdop, vdop = _dilution(
-        table[used, LINE_OF_SIGHT : LINE_OF_SIGHT + 3],
-        observation.measurements.system[used],
-        r_ecef_m,
-    )
-    return replace(
-        decision,
-        elevation_deg=tuple(np.degrees(table[at, ELEVATION]).round(2).tolist()),
-        azimuth_deg=tuple((np.degrees(table[at, AZIMUTH]) % 360.0).round(2).tolist()),
-        cn0_dbhz=tuple(
-            c if math.isfinite(c) else None for c in observation.measurements.cn0_dbhz[at].tolist()
-        ),
-        signals=tuple(signals.get(name, "") for name in decision.satellites),
-        hdop=hdop,
-        vdop=vdop,
-    )
 
 
 def _dilution(

@@ -1,1 +1,1 @@
-"""ArduPilot in a run: its process, and commands as plain MAVLink."""
+"""ArduPilot in a run: its process."""

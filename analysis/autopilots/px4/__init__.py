@@ -1,1 +1,1 @@
-"""PX4 in a run: its process, its parameters, and commands by MAVSDK."""
+"""PX4 in a run: its process and its parameters."""

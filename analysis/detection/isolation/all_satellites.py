@@ -16,7 +16,7 @@ from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
 from analysis.detection.isolation.epoch_statistics import EpochStatistics
 from analysis.detection.isolation.range_test import RangeVerdict
 from analysis.detection.isolation.rate_test import RateVerdict
-from analysis.detection.isolation.trust import Trust
+from analysis.detection.isolation.trust import Trust, awaited_confirmation
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
@@ -59,6 +59,13 @@ def rates_beyond_imu(
     # Rates that were wrong are used again once the ranges fit too.
     wrong = trust.distrusted == RATES_DISTRUSTED
     return rates._replace(usable=NO_RATES) if wrong else rates
+
+
+def unbounded_reason(trust: Trust) -> str:
+    """Why nothing bounds the position, by what is believed; empty where something does."""
+    if trust.jump_m is not None:
+        return JUMP_REASON
+    return FOLLOWED_REASON if trust.unbounded else awaited_confirmation(trust.to_confirm)
 
 
 def next_distrust(distrusted: str, rates: RateVerdict, ranges: RangeVerdict) -> str:

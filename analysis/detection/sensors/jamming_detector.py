@@ -80,8 +80,7 @@ def _add_epoch(epoch: Epoch, state: SignalState) -> tuple[float, SignalState]:
         for name, cn0_dbhz in zip(epoch.satellites, epoch.cn0_dbhz.tolist(), strict=True)
         if math.isfinite(cn0_dbhz)
     }
-    since_us = state.fallen_since_us
-    epochs = state.fallen_epochs
+    since_us, epochs = state.fallen_since_us, state.fallen_epochs
     fallen = {
         band: common_loss_db(losses, epochs.get(band, 0) >= CONFIRM_EPOCHS)
         for band, losses in _losses(cn0_now, strengths).items()

@@ -17,10 +17,9 @@ from analysis.detection.filter.lasting_errors import VarianceFactor
 from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
 from analysis.detection.isolation.all_satellites import (
     COASTING_REASON,
-    FOLLOWED_REASON,
-    JUMP_REASON,
     accumulated_jump_m,
     next_distrust,
+    unbounded_reason,
 )
 from analysis.detection.isolation.common_shift import (
     CommonShift,
@@ -41,7 +40,7 @@ from analysis.detection.isolation.exclusion import (
     innovations_of_excluded,
     readmit_satellites,
 )
-from analysis.detection.isolation.trust import LEAST_START_DOF, Trust, awaited_confirmation
+from analysis.detection.isolation.trust import LEAST_START_DOF, Trust
 from analysis.detection.protection_levels import PositionBounds, bound_position
 from analysis.detection.receiver.receiver_or_imu import UNDECIDED
 from analysis.detection.stages.assess import Assessment
@@ -226,9 +225,7 @@ def _unbounded_reason(assessment: Assessment, verdict: EpochVerdict, trust: Trus
     motion = assessment.prediction.motion
     if verdict.carry_off is not None and is_coasting(motion, assessment.innovations):
         return COASTING_REASON
-    if trust.jump_m is not None:
-        return JUMP_REASON
-    return FOLLOWED_REASON if trust.unbounded else awaited_confirmation(trust.to_confirm)
+    return unbounded_reason(trust)
 
 
 def _bound_position(

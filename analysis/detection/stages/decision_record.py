@@ -9,10 +9,9 @@ from analysis.detection.detector_state import DetectorCore
 from analysis.detection.filter.filter_state import ImuStatus, MotionEstimate
 from analysis.detection.filter.measurement import EpochObservation
 from analysis.detection.filter.propagation import is_silent
-from analysis.detection.isolation.all_satellites import FOLLOWED_REASON, JUMP_REASON
+from analysis.detection.isolation.all_satellites import unbounded_reason
 from analysis.detection.isolation.constellations import ONE_FOLLOWED
 from analysis.detection.isolation.rate_test import RateVerdict
-from analysis.detection.isolation.trust import awaited_confirmation
 from analysis.detection.protection_levels import LARGEST_LEVEL_M, PositionBounds, level_assumptions
 from analysis.detection.stages.epoch_outcome import TestedEpoch, reported_hypothesis
 from analysis.detection.stages.initial_fix import InitialFix
@@ -72,11 +71,8 @@ def build_start_decision(
     epoch: Epoch, observation: EpochObservation, fix: InitialFix, core: DetectorCore
 ) -> Decision:
     """The decision on the epoch that the filter starts with; `core` is the one after it."""
-    motion, trust = fix.motion, core.trust
-    unbounded = JUMP_REASON if trust.jump_m is not None else ""
-    unbounded = unbounded or (FOLLOWED_REASON if trust.unbounded else "")
+    motion, trust, unbounded = fix.motion, core.trust, unbounded_reason(core.trust)
     assert motion is not None
-    unbounded = unbounded or awaited_confirmation(trust.to_confirm)
     bounds = None if unbounded else fix.bounds
     return Decision(
         t_us=epoch.t_us,
