@@ -15,7 +15,7 @@ from msgspec import Meta
 from mavproxy_fault.documents.document_check import NotFinite, NotNegative, Positive
 from mavproxy_fault.fault_parts.fault import Generator
 from mavproxy_fault.fault_parts.memory import NO_MEMORY, Memory
-from mavproxy_fault.fault_parts.series import Series, SeriesTable
+from mavproxy_fault.fault_parts.series import SeriesTable, read_series
 
 Mode = Literal["replace", "add", "scale"]
 MODES: dict[Mode, float] = {"add": 0.0, "scale": 1.0, "replace": 2.0}  # as numbers of a rule
@@ -141,8 +141,8 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return memory
 
     def new_state(self, rng: Generator) -> Any:
-        """Return the initial state: an open series, or the memory of the other kinds."""
-        return self.memory(rng) if self.table is None else Series(self.table)
+        """Return the initial state: a series, or the memory of the other kinds."""
+        return self.memory(rng) if self.table is None else read_series(self.table)
 
     def value(self, t_s: float, state: Any) -> float | None:
         """Return the value at a time; None where the field keeps its healthy value."""

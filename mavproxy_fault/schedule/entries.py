@@ -228,7 +228,7 @@ def _entries(data: Any, number: int, check: DocumentCheck, path: Path, via: Via)
 
 
 def _resolve_files(arguments: dict[str, Any], check: DocumentCheck, path: Path) -> None:
-    """Resolve files relative to the schedule: read samples, and check a series' first rows."""
+    """Resolve files relative to the schedule: read samples and series."""
     samples, profile = arguments.get("file"), arguments.get("profile")
     if isinstance(samples, str):
         from mavproxy_fault.faults.timing import read_samples
@@ -239,15 +239,14 @@ def _resolve_files(arguments: dict[str, Any], check: DocumentCheck, path: Path) 
             check.wrong((*path, "file"), f"= {samples}: {error}")
     if not isinstance(profile, Profile) or profile.table is None:
         return
-    from mavproxy_fault.fault_parts.series import read_blocks
+    from mavproxy_fault.fault_parts.series import read_series
 
     # Relative to the schedule, not to the working directory.
     file = FilePath(check.where).parent / profile.table.file
     table = msgspec.structs.replace(profile.table, file=str(file))
     arguments["profile"] = msgspec.structs.replace(profile, table=table)
     try:
-        # The first block only: reading a large file would delay the start.
-        next(read_blocks(table), None)
+        read_series(table)
     except ConfigError as error:
         check.wrong((*path, "profile", "table", "file"), f"= {profile.table.file}: {error}")
 

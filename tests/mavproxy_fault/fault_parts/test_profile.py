@@ -1,6 +1,7 @@
 import csv
 import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from mavproxy_fault.fault_parts.profile import (
     SineProfile,
     hold_live_value,
 )
-from mavproxy_fault.fault_parts.series import BLOCK_ROWS, SeriesTable
+from mavproxy_fault.fault_parts.series import SeriesTable
 from mavproxy_fault.schedule.entries import read_schedule
 
 RNG = np.random.default_rng(0)
@@ -103,17 +104,6 @@ def test_a_series_holds_each_value_or_interpolates(tmp_path: Path) -> None:
     assert [straight.value(t, state) for t in times] == [None, 1, 2, 3, 2.25, 2, None]
 
 
-def test_a_long_series_is_read_in_blocks_without_a_gap(tmp_path: Path) -> None:
-    count = 3 * BLOCK_ROWS + 7
-    profile = table(
-        tmp_path / "a.csv", [(i * 0.004, i * 2.0) for i in range(count)], interpolate="linear"
-    )
-    state = profile.new_state(RNG)
-    for i in range(count - 1):
-        found = profile.value((i + 0.5) * 0.004, state)
-        assert found == pytest.approx(2 * (i + 0.5), abs=1e-6)
-
-
 def test_a_parquet_series_equals_its_csv(tmp_path: Path) -> None:
     pyarrow = pytest.importorskip("pyarrow")
     parquet = pytest.importorskip("pyarrow.parquet")
@@ -154,11 +144,9 @@ def test_an_invalid_series_is_refused_when_the_schedule_is_read(
     assert said in str(caught.value)
 
 
-def test_a_series_ends_at_a_later_error(tmp_path: Path) -> None:
-    rows = [(i * 1.0, 5.0) for i in range(BLOCK_ROWS)]
-    profile = table(tmp_path / "a.csv", rows)
-    with (tmp_path / "a.csv").open("a") as file:
-        file.write(f"{BLOCK_ROWS},none\n")
-    state = profile.new_state(RNG)
-    assert profile.value(BLOCK_ROWS - 2.0, state) == 5
-    assert profile.value(BLOCK_ROWS + 1.0, state) is None
+def test_a_series_is_read_again_when_its_file_has_changed(tmp_path: Path) -> None:
+    profile = table(tmp_path / "a.csv", [(0.0, 1.0)])
+    assert profile.value(0.0, profile.new_state(RNG)) == 1
+    table(tmp_path / "a.csv", [(0.0, 2.0)])
+    os.utime(tmp_path / "a.csv", ns=(0, 1))
+    assert profile.value(0.0, profile.new_state(RNG)) == 2
