@@ -158,6 +158,7 @@ def add_campaign(commands: Any) -> None:
     option("--evidence DIR", "write failure modes, effects and requirements as tables")
     option("--build CMD", "of bisect: builds a commit")
     option("--binary PATH", "of bisect: the autopilot's program that CMD builds")
+    option("--sample N", "fly only N cells of each subject, drawn at random", type=positive_count)
     option("--dry-run", "print only the size and duration")
     add_json(parser)
     parser.set_defaults(main=main_of("analysis.campaign.campaign_command"))

@@ -2,6 +2,8 @@
 
 python benchmarks/planted_autopilot_weaknesses.py px4=PROGRAM ardupilot=PROGRAM [NAME ...]
 
+With `method=random` it flies random points in place of the default's even design.
+
 Each weakness is a parameter file of an unmodified autopilot. A search of at most 100 flights stops
 at the first violation; that flight is repeated three times with other noise, with the wrong
 parameters and with the autopilot's own.
@@ -76,7 +78,7 @@ WEAKNESSES = {
 }  # fmt: skip
 
 
-def write_search(folder: Path, weakness: Weakness, binary: str) -> TestFile:
+def write_search(folder: Path, weakness: Weakness, binary: str, method: str) -> TestFile:
     """The test with the wrong parameters."""
     (folder / "wrong.parm").write_text(weakness.parameters + "\n")
     (folder / "scenario.yaml").write_text(yaml.safe_dump(SCENARIO))
@@ -85,6 +87,7 @@ def write_search(folder: Path, weakness: Weakness, binary: str) -> TestFile:
         "scenario": "scenario.yaml", "estimator": "autopilot", "autopilot": choice,
         "at_once": [1, 2],
         "violate": weakness.violate, "budget": BUDGET, "first": True, "keep": 1, "faults": FAULTS,
+        "method": method,
     }  # fmt: skip
     (folder / "search.yaml").write_text(yaml.safe_dump(test))
     return read_test(folder / "search.yaml")
@@ -96,11 +99,11 @@ def violations(test: TestFile, values: dict[str, float], number: int) -> str:
     return f"{sum(bool(one.rmse_deg[0] > 0.0) for one in flown)} of {AGAIN}"
 
 
-def measure(name: str, weakness: Weakness, binary: str) -> str:
+def measure(name: str, weakness: Weakness, binary: str, method: str) -> str:
     """The row of a weakness."""
     with tempfile.TemporaryDirectory(prefix="planted-") as scratch:
         folder = Path(scratch)
-        test, archive = write_search(folder, weakness, binary), Archive(1)
+        test, archive = write_search(folder, weakness, binary, method), Archive(1)
         flown, _ = search_cases(test, InProcessPool(), folder / "found", archive, Counter(), None)
         case = archive.cases[0]
         if case.fitness <= 0.0:
@@ -126,12 +129,13 @@ def main(arguments: list[str]) -> None:
     """Print the table."""
     binaries = dict(one.split("=", 1) for one in arguments if "=" in one)
     names = [one for one in arguments if "=" not in one]
+    method = binaries.pop("method", "mixed")
     print(
         "| weakness | requirement | flights | found | again | healthy |\n|---|---|---|---|---|---|"
     )
     for name, weakness in WEAKNESSES.items():
         if weakness.kind in binaries and (not names or any(part in name for part in names)):
-            print(f"| {measure(name, weakness, binaries[weakness.kind])} |", flush=True)
+            print(f"| {measure(name, weakness, binaries[weakness.kind], method)} |", flush=True)
 
 
 if __name__ == "__main__":

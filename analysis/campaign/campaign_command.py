@@ -12,7 +12,6 @@ from analysis.campaign.campaign_run import run_campaign
 from analysis.report.run_folder import numbered_folder
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.extras import require_extra
 
 # Rough values: an estimate in minutes, hours or days.
 SIMULATOR_SPEED = 15.0  # simulated seconds per second of one worker
@@ -49,13 +48,11 @@ def main(args: argparse.Namespace) -> int:
     if len(args.file) != 1:
         raise ConfigError("campaign: needs exactly one campaign file; see docs/campaigns.md")
     campaign = read_campaign(args.file[0])
-    if args.evidence:
-        require_extra("scipy")  # now, and not after the flights
     check_binaries(campaign)
     workers = args.workers or os.cpu_count() or 1
     folder = Path(args.out) if args.out else numbered_folder(f"campaign-{campaign.name}")
     keep = folder / "flights" if args.dataset or campaign.keep != "none" else None
-    plan = CampaignPlan(campaign, keep)
+    plan = CampaignPlan(campaign, keep, args.sample)
     size = estimate_size(plan, workers)
     if args.dry_run:
         print_result(args, size._asdict(), describe_size(size))

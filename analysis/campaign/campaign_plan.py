@@ -4,11 +4,12 @@ A sequence yields a job and is sent its results; a grid cell yields one job, a b
 Cells with stored results are not flown again.
 """
 
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import cached_property
 from itertools import groupby, product
 from pathlib import Path
+from random import Random
 
 import msgspec
 
@@ -18,19 +19,28 @@ from analysis.campaign.cell import HEALTHY, Cell, CellResult, file_key
 from analysis.campaign.flying.flight_job import CompiledJob, FlightJob, Job, setup_by_name
 from analysis.campaign.outcomes import ABORTED
 from analysis.flying.flight_evidence import CampaignFlight
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.extras import import_extra
 
 MAX_BATCH_CELLS = 256  # cells in one batch, so that progress shows and a kill loses little
 KnownResults = Mapping[str, CellResult]
+SizedSeries = tuple[Cell, float | None]
 JobSequence = Generator[Job, list[CellResult], None]
 
 
 class CampaignPlan:
-    """The cells and jobs of a campaign; `keep` is the folder for logs, None to discard them."""
+    """The cells and jobs of a campaign; `keep` is the folder for logs, None to discard them.
 
-    def __init__(self, campaign: CampaignFile, keep: Path | None = None) -> None:
+    With a `sample` only as many cells of each subject are flown, the same in every run.
+    """
+
+    def __init__(
+        self, campaign: CampaignFile, keep: Path | None = None, sample: int | None = None
+    ) -> None:
         self.campaign = campaign
-        self._keep = keep
+        self._keep, self._sample = keep, sample
+        if sample is not None and campaign.find == "critical":
+            raise ConfigError("--sample: a search for critical magnitudes has no cells to draw")
         self.subjects = campaign.subject_names
         self.scenarios = campaign.scenario_names
 
@@ -40,6 +50,8 @@ class CampaignPlan:
     def max_cells(self) -> int:
         """The number of cells; the largest possible one for a critical search."""
         faults, critical = self.campaign.all_faults, self.campaign.find == "critical"
+        if self._sample is not None:
+            return sum(len(cells) for cells in self._grid())
         return sum(
             HALVINGS + 2 if critical else len(faults[cell.fault].magnitude_list())
             for cell in self._series()
@@ -89,6 +101,9 @@ class CampaignPlan:
             jobs[self.reference_key(cells[0])] = FlightJob(
                 self.campaign, cells, None, self._folder(cells[0])
             )
+        if self._sample is not None:
+            needed = {self.reference_key(cells[0]) for cells in self._grid()}
+            jobs = {key: job for key, job in jobs.items() if key in needed}
         return jobs
 
     def reference_key(self, cell: Cell) -> str:
@@ -153,12 +168,24 @@ class CampaignPlan:
 
     def _grid(self) -> Iterator[list[Cell]]:
         """Yield the cells of each flight."""
+        faults = self.campaign.all_faults
         for group in self._groups():
-            for series in self._series():
-                if series.subject != group[0]:
-                    continue
-                for magnitude in self.campaign.all_faults[series.fault].magnitude_list():
-                    yield [cell_at(series, magnitude, subject) for subject in group]
+            flights = (
+                (series, magnitude)
+                for series in self._series()
+                if series.subject == group[0]
+                for magnitude in faults[series.fault].magnitude_list()
+            )
+            for series, magnitude in self._drawn(flights):
+                yield [cell_at(series, magnitude, subject) for subject in group]
+
+    def _drawn(self, flights: Iterator[SizedSeries]) -> Iterable[SizedSeries]:
+        """Draw the sample, in its order, so that all subjects have the same flights."""
+        if self._sample is None:
+            return flights
+        listed = list(flights)
+        count = min(self._sample, len(listed))
+        return (listed[i] for i in sorted(Random(1).sample(range(len(listed)), count)))
 
     def _compiled(self, known: KnownResults) -> Iterator[JobSequence]:
         """Yield compiled batches of cells that differ in magnitude, onset and duration."""

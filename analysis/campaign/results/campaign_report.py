@@ -21,6 +21,7 @@ from analysis.campaign.results.outcome_grid import (
     severity_key,
 )
 from analysis.campaign.results.outcome_markdown import render_markdown
+from analysis.campaign.results.subject_scores import conditions_hash, score_subjects
 from analysis.campaign.results_store import (
     BASELINE,
     CURVES,
@@ -88,6 +89,9 @@ def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str,
         by_fault = counts.setdefault(result.cell.subject, {})
         by_fault.setdefault(result.cell.fault, Counter())[result.outcome] += 1
     summary["outcomes"] = counts
+    scores = score_subjects(plan.campaign, results)
+    summary["scores"] = [msgspec.to_builtins(score) for score in scores]
+    summary["conditions_sha256"] = conditions_hash(plan.campaign)
     summary["requirements"] = requirement_counts(results)
     summary["pairs"] = [result.cell.key for result in find_interactions(plan.campaign, results)]
     if plan.campaign.find == "critical":

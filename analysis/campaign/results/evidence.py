@@ -5,13 +5,8 @@
     requirements.csv  a row for each subject and requirement
     campaign.yaml, rows/NAME.yaml   campaign files that make all numbers, or those of a row, again
 
-Bounds are those of Clopper and Pearson [1]_ for the share of failed flights, with a confidence of
-95 %. A hash covers all results of a row except the time they took, and under an autopilot except
-measured numbers.
-
-References
-----------
-.. [1] Clopper and Pearson, Biometrika 26(4), 1934.
+Bounds are those of `share_bounds` for the share of failed flights. A hash covers all results of a
+row except the time they took, and under an autopilot except measured numbers.
 """
 
 import csv
@@ -31,18 +26,17 @@ from analysis.campaign.cell import CellResult, file_key
 from analysis.campaign.magnitude_unit import magnitude_units
 from analysis.campaign.outcomes import ABORTED
 from analysis.campaign.results.outcome_grid import GridCell, GridRow, outcome_grid
+from analysis.campaign.results.subject_scores import share_bounds
 from analysis.campaign.results_store import read_campaign_folder
 from analysis.report.page.page_body import read_asset, table_html
 from analysis.report.page.page_file import html_document
 from analysis.report.page.page_parts import ReportTable
 from mavproxy_fault import __version__
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.documents.extras import import_extra
 from mavproxy_fault.documents.yaml_document import without_none, write_yaml
 from mavproxy_fault.faults.registry import fault_class
 from mavproxy_fault.schedule.presets import read_preset
 
-CONFIDENCE = 0.95
 # A page of paper takes all columns: hashes and commands wrap.
 PRINTED = "@page { size: landscape; } .wide td:nth-last-child(-n+2) { overflow-wrap: anywhere; }"
 TITLES = ("Inputs", "Failure modes and effects", "Requirements")
@@ -203,11 +197,7 @@ def file_hash(path: str) -> str:
 
 
 def _failure_bounds(failed: int, flights: int) -> Row:
-    interval = (0.0, 1.0)
-    if flights:
-        test = import_extra("scipy.stats").binomtest(failed, flights)
-        interval = test.proportion_ci(CONFIDENCE, "exact")
-    low, high = (f"{share:.4f}" for share in interval)
+    low, high = (f"{share:.4f}" for share in share_bounds(failed, flights))
     return {"flights": str(flights), "failed": str(failed), "at least": low, "at most": high}
 
 

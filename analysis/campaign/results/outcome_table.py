@@ -15,6 +15,7 @@ from analysis.campaign.results.outcome_grid import (
     outcome_grid,
     requirement_counts,
 )
+from analysis.campaign.results.subject_scores import conditions_hash, score_subjects
 from analysis.campaign.results_store import read_campaign_folder
 from mavproxy_fault.app.command_result import open_console, plain_table
 
@@ -56,6 +57,9 @@ def print_outcomes(folder: Path, plan: CampaignPlan) -> None:
     failed = sum(campaign.fails(result) for result in results)
     rule = campaign.fail_from if campaign.fail_from == ABORTED else f"{campaign.fail_from} or worse"
     console.print(f"{len(results)} cells, {len(aborted)} aborted, {failed} failed ({rule})")
+    for score in score_subjects(campaign, results):
+        console.print(score.describe(), soft_wrap=True)
+    console.print(f"sha256   {conditions_hash(campaign)} of all conditions", soft_wrap=True)
     console.print(f"page     {folder / 'campaign.html'}", soft_wrap=True)
 
 
