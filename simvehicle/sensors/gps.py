@@ -7,7 +7,9 @@ import math
 from typing import ClassVar
 
 import msgspec
+import numpy as np
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.earth import curvature_radii
 from simvehicle.sensors.error_model import NoiseModel
 from simvehicle.sensors.readings import GpsReading
@@ -49,22 +51,37 @@ class Gps(SensorParameters, frozen=True, kw_only=True):
 
     def measure(self, truth: Truth, *errors: list[float]) -> GpsReading:
         """One solution."""
-        (north, east), (up,), speed = errors
-        # Convert metres of error to radians on the ellipsoid, at the vehicle's height.
-        meridian, prime = curvature_radii(truth.lat_rad)
-        vn, ve, vd = truth.v_ned_mps.tolist()
-        gain = 1.0 + self.velocity.scale
-        lat = truth.lat_rad + north / (float(meridian) + truth.height_m)
-        lon = truth.lon_rad + east / ((float(prime) + truth.height_m) * math.cos(truth.lat_rad))
+        place = np.array([truth.lat_rad, truth.lon_rad, truth.height_m, truth.alt_msl_m])
+        fix = self.fixes(place, truth.v_ned_mps, np.hstack(errors)).tolist()
+        lat_deg, lon_deg, alt_m, north_mps, east_mps, down_mps = fix
         return GpsReading(
             truth.t_us,
-            math.degrees(lat),
-            math.degrees(lon),
-            truth.alt_msl_m + up,
-            (gain * vn + speed[0], gain * ve + speed[1], gain * vd + speed[2]),
+            lat_deg,
+            lon_deg,
+            alt_m,
+            (north_mps, east_mps, down_mps),
             3,  # MAVLink's fix_type: three-dimensional
             self.satellites,
             self.eph_m,
             self.epv_m,
             self.id,
+        )
+
+    def fixes(self, place: Array, v_ned_mps: Array, errors: Array) -> Array:
+        """Latitude, longitude [deg], height above mean sea level [m] and velocity, (6,) or (6, n).
+
+        `place` (4, ...) are latitude and longitude [rad], height above the ellipsoid and above mean
+        sea level [m]; `errors` (6, ...) of north, east, up [m] and velocity.
+        """
+        lat, lon, height_m, alt_m = place
+        north, east, up = errors[:3]
+        # Convert metres of error to radians on the ellipsoid, at the vehicle's height.
+        meridian, prime = curvature_radii(lat)
+        return np.stack(
+            [
+                np.degrees(lat + north / (meridian + height_m)),
+                np.degrees(lon + east / ((prime + height_m) * np.cos(lat))),
+                alt_m + up,
+                *((1.0 + self.velocity.scale) * v_ned_mps + errors[3:]),
+            ]
         )

@@ -27,9 +27,10 @@ class Weather:
         self._flight = flight
         # The first-order filter starts stationary, the others at zero.
         flight["filters"][0] = self._rng.standard_normal()
-        flight["draws"] = self._rng.standard_normal((BLOCK, GUST_DRAWS))
         gusts, shear = environment.gusts, environment.shear
         gusts = gusts if isinstance(gusts, Gusts) else GUST_LEVELS[gusts]
+        self._calm = not any(gusts.sigma_mps)  # draws then have no effect, and remain zero
+        self._draw()
         law = (shear.reference_m, shear.exponent) if shear else _NO_SHEAR
         flight["weather"] = [*gusts.sigma_mps, *gusts.length_m, *law, *environment.wind_ned_mps]
         self.steady_mps: NDArray[np.float64] = flight["weather"][STEADY_WIND:]
@@ -37,5 +38,9 @@ class Weather:
     def refill(self) -> None:
         """Draw the next block of random numbers if the last one is used up."""
         if self._flight["row"] == BLOCK - 1:
-            self._flight["draws"] = self._rng.standard_normal((BLOCK, GUST_DRAWS))
+            self._draw()
             self._flight["row"] = -1
+
+    def _draw(self) -> None:
+        if not self._calm:
+            self._flight["draws"] = self._rng.standard_normal((BLOCK, GUST_DRAWS))

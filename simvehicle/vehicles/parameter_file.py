@@ -2,9 +2,8 @@
 
 from collections.abc import Mapping
 from functools import lru_cache
-from importlib import resources
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import msgspec
 
@@ -15,6 +14,7 @@ from simvehicle.vehicles.battery_kernel import BatterySupply
 from simvehicle.vehicles.rigidbody_kernel import Inertia, inertia_coefficients
 
 T = TypeVar("T")
+SHIPPED = Path(__file__).parent / "parameters"
 
 
 class ParameterSection(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -84,13 +84,12 @@ def parameter_path(name: str | Path) -> Path:
     ConfigError
         If there is no such set.
     """
-    shipped = Path(str(resources.files("simvehicle.vehicles") / "parameters"))
     path = Path(name)
     # A name without a suffix is a shipped set.
     if path.suffix not in (".yaml", ".yml"):
-        path = shipped / f"{name}.yaml"
+        path = SHIPPED / f"{name}.yaml"
         if not path.is_file():
-            known = ", ".join(sorted(p.stem for p in shipped.glob("*.yaml")))
+            known = ", ".join(sorted(p.stem for p in SHIPPED.glob("*.yaml")))
             raise ConfigError(
                 f"vehicle.parameters: {name} is unknown; known: {known}, or the path of a YAML file"
             )
@@ -105,16 +104,27 @@ def read_parameters(name: str | Path, kind: type[T]) -> T:
     ConfigError
         If there is no such set or file, or its content is invalid.
     """
-    return decode(parameter_document(name), kind)
+    path = parameter_path(name)
+    return cast(T, _parameters_at(path, _changed_ns(path), kind))
 
 
 def parameter_document(name: str | Path) -> Document:
     """Read a shipped parameter set or a file, before its content is checked; raises as
     `read_parameters` does."""
     path = parameter_path(name)
-    return _document_at(path, path.stat().st_mtime_ns if path.is_file() else 0)
+    return _document_at(path, _changed_ns(path))
 
 
-@lru_cache(maxsize=8)  # a third of the time of a search's flight would go to the file
+def _changed_ns(path: Path) -> int:
+    return path.stat().st_mtime_ns if path.is_file() else 0
+
+
+# Kept, as a third of the time of a search's flight would go to them.
+@lru_cache(maxsize=8)
+def _parameters_at(path: Path, changed_ns: int, kind: type) -> object:
+    return decode(_document_at(path, changed_ns), kind)
+
+
+@lru_cache(maxsize=8)
 def _document_at(path: Path, _changed_ns: int) -> Document:
     return read_document(path)

@@ -14,127 +14,137 @@ from numpy.typing import NDArray
 
 from analysis.estimators import Prior, estimate_block, make_estimator
 from analysis.estimators.inverse_model import BEFORE, NINE
-from analysis.samples.block import FIX, IMU, IMU_ID, RATES, SOURCES, WIDTH, Block, Indices, Stamps
+from analysis.samples.block import FIX, FIX_3D, IMU, IMU_ID, RATES, SOURCES, WIDTH, Block, Indices
 from analysis.samples.block import FORCE as FORCE_ROW
-from mavproxy_fault.documents.errors import ConfigError
+from analysis.search.evaluation.envelope import pack_envelope, violated_limit
+from analysis.search.space.airframe import has_rotors
+from analysis.search.space.test_file import FlightEnvelope, TestFile
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from mavproxy_fault.numerics.rotations.rotation_kernel import attitude_errors
-from simvehicle.environment.geolocation import AIR_VELOCITY
+from simvehicle.environment.geolocation import AIR_VELOCITY, GEOID, LOCAL_GRAVITY, VELOCITY
 from simvehicle.scenario.scenario_file import Scenario
+from simvehicle.sensors.error_model import BLOCK
 from simvehicle.sensors.flight_record import Records
-from simvehicle.sensors.readings import GpsReading
+from simvehicle.simulation.onboard_sensors import OnboardSensor
 from simvehicle.simulation.simulation import Simulation
-from simvehicle.simulation.step_kernel import prepare, step
-from simvehicle.vehicles.rigidbody_kernel import RIGID_SIZE
+from simvehicle.simulation.step_kernel import step
+from simvehicle.vehicles.rigidbody_kernel import E0, RIGID_SIZE, P
 
 Array = NDArray[np.float64]
 # Columns of the truth, after the rigid body's state: velocity through the air (body axes), specific
 # force, height above ground, and latitude [rad], longitude [rad], height [m].
 AIR, FORCE, HEIGHT, PLACE, TRUTH_SIZE = RIGID_SIZE, 16, 19, 20, 23
+LIMIT = 3  # index in the counts of `record_steps`
+HEAD = 2  # columns of a row before the values
 GPS_SOURCE = SOURCES.index("HIL_GPS")
 
 
 class SampledFlight(NamedTuple):
-    """A flight: `truth` (n, TRUTH_SIZE) at its n IMU samples, and all samples in order."""
+    """A flight as far as it is within the envelope, and the sample at which a `limit` ended it.
+
+    `truth` (n, TRUTH_SIZE) at its n IMU samples, and all samples in order.
+    """
 
     truth: Array
     samples: Block
-
-
-class FlightRows(NamedTuple):
-    """Room for a flight's truth and samples; `counts` (2,) are the rows that are used of each."""
-
-    truth: Array
-    kind: Indices
-    t_us: Stamps
-    values: Array
-    counts: Indices
-
-
-@compiled
-def record_step(flight: Records, sensors: Records, out: FlightRows) -> None:
-    """Append the truth and the fresh samples of a step; kinds of sensors and of rows are equal."""
-    f, n = flight[0], out.counts[0]
-    out.truth[n, :RIGID_SIZE] = f.x[:RIGID_SIZE]
-    out.truth[n, AIR:FORCE] = f.here[AIR_VELOCITY : AIR_VELOCITY + 3]
-    out.truth[n, FORCE:HEIGHT] = f.load[:3]
-    out.truth[n, HEIGHT] = f.agl_m
-    out.truth[n, PLACE:] = f.here[:3]
-    out.counts[0] += 1
-    for at in range(sensors.shape[0]):
-        if sensors[at].fresh:
-            m = out.counts[1]
-            out.kind[m], out.t_us[m] = sensors[at].kind, f.t_us
-            out.values[m, :6] = sensors[at].values
-            if sensors[at].kind == IMU:  # has the specific force first
-                out.values[m, RATES:FORCE_ROW] = sensors[at].values[3:]
-                out.values[m, FORCE_ROW:IMU_ID] = sensors[at].values[:3]
-            out.counts[1] += 1
+    limit: int
 
 
 @compiled
 def record_steps(
-    flight: Records, sensors: Records, packed: Array, quiet_us: int, out: FlightRows
-) -> bool:
-    """Fly and record steps with constant controls up to one that ends at `quiet_us` or later;
-    False if the state has diverged."""
-    while not flight[0].used_up:
-        prepare(flight)
-        if flight[0].next_us >= quiet_us:
-            break
+    flight: Records, sensors: Records, packed: Array, until_us: int, fix_hz: float,
+    limits: Array, truth: Array, rows: Array, counts: Indices,
+) -> bool:  # fmt: skip
+    """Fly steps with constant controls until a time, the limits of `violated_limit`, or the end of
+    the random draws, and append their truth and samples; kinds of sensors and of rows are equal.
+
+    `rows` (m, HEAD + WIDTH) are kind, stamp and values; those of a GPS fix are what it measures.
+    `counts` (4,) are the rows in use of `truth` and `rows`, the number of fixes, and the limit that
+    is violated. Returns False if the state has diverged.
+    """
+    f = flight[0]
+    while f.t_us < until_us and not f.used_up and not counts[LIMIT]:
         if not step(flight, sensors, packed):
             return False
-        record_step(flight, sensors, out)
+        n, m = counts[0], counts[1]
+        truth[n, :RIGID_SIZE] = f.x[:RIGID_SIZE]
+        truth[n, AIR:FORCE] = f.here[AIR_VELOCITY : AIR_VELOCITY + 3]
+        truth[n, FORCE:HEIGHT] = f.load[:3]
+        truth[n, HEIGHT] = f.agl_m
+        truth[n, PLACE:] = f.here[:3]
+        for at in range(sensors.shape[0]):
+            if sensors[at].fresh:
+                values, seen = rows[m, HEAD:], sensors[at].values
+                rows[m, 0], rows[m, 1] = sensors[at].kind, f.t_us
+                values[:6] = seen
+                if sensors[at].kind == IMU:  # has the specific force first
+                    values[RATES:FORCE_ROW], values[FORCE_ROW:IMU_ID] = seen[3:], seen[:3]
+                m += 1
+        if f.t_us >= (counts[2] + 1) * 1e6 / fix_hz:
+            values = rows[m, HEAD:]
+            rows[m, 0], rows[m, 1] = FIX, f.t_us
+            values[:3], values[3] = f.here[:3], f.here[2] - f.home[GEOID]
+            values[4:7] = f.here[VELOCITY : VELOCITY + 3]
+            counts[2] += 1
+            m += 1
+        counts[0], counts[1] = n + 1, m
+        # The first sample beyond is the last one that counts.
+        counts[LIMIT] = violated_limit(
+            f.x[E0:P], f.here[AIR_VELOCITY:LOCAL_GRAVITY], f.x[P:RIGID_SIZE], f.load[:3], f.agl_m,
+            limits,
+        )  # fmt: skip
     return True
 
 
-@lru_cache(maxsize=4)  # cells of a campaign and reduced faults share a flight
-def fly_sampled(document: bytes) -> SampledFlight:
-    """Fly a scenario (JSON) with one IMU to its end, or until its state diverges."""
+@lru_cache(maxsize=8)  # cells of a campaign and reduced faults share a flight
+def fly_sampled(document: bytes, envelope: FlightEnvelope, hovers: bool) -> SampledFlight:
+    """Fly a scenario (JSON) with one IMU and GPS until it ends, leaves the envelope or diverges."""
     scenario = msgspec.json.decode(document, type=Scenario)
     simulation, end_us = Simulation(scenario), round(scenario.duration_s * 1e6)
     flight, sensors = simulation.board
-    packed, plan = simulation.packed, scenario.controls
+    packed, plan, (gps,) = simulation.packed, scenario.controls, simulation.onboard_sensors
     assert packed is not None
     assert plan is not None
-    steps = int(scenario.duration_s * float(flight[0]["rate_hz"])) + 2
-    rows = steps * (len(sensors) + 1)
-    out = FlightRows(
-        np.empty((steps, TRUTH_SIZE)), np.empty(rows, np.int64), np.empty(rows, np.int64),
-        np.zeros((rows, WIDTH)), np.zeros(2, np.int64),
-    )  # fmt: skip
-    diverged = False
-    while flight[0]["t_us"] < end_us and not diverged:
-        try:
-            _, _, readings = simulation.step()
-        except ConfigError:
-            break  # it left every envelope before
-        record_step(flight, sensors, out)
-        for reading in readings:
-            if isinstance(reading, GpsReading):
-                _append_fix(reading, out)
-        if plan.weave is None:
-            quiet_us = min(simulation.quiet_until_us(), end_us)
-            diverged = not record_steps(flight, sensors, packed, quiet_us, out)
-    n, m = out.counts.tolist()
-    return SampledFlight(out.truth[:n], Block(out.kind[:m], out.t_us[:m], out.values[:m], {}))
+    now, steps = flight[0], int(scenario.duration_s * float(flight[0]["rate_hz"])) + 2
+    truth, counts = np.empty((steps, TRUTH_SIZE)), np.zeros(4, np.int64)
+    rows = np.zeros((steps * (len(sensors) + 1), HEAD + WIDTH))
+    limits, fix_hz, finite = pack_envelope(envelope, hovers), gps.sensor.rate_hz, True
+    while finite and not counts[LIMIT] and now["t_us"] < end_us:
+        commands = simulation.commanded()
+        now["controls"][: len(commands)] = commands
+        simulation.prepare()
+        until_us = end_us if plan.weave is None else now["t_us"] + 1
+        finite = record_steps(
+            flight, sensors, packed, until_us, fix_hz, limits, truth, rows, counts
+        )
+        if finite and plan.weave is not None:
+            simulation.observe()
+    rows = rows[: counts[1]]
+    _measure_fixes(gps, rows)
+    kind, t_us = rows[:, :HEAD].T.astype(np.int64)
+    samples = Block(kind, t_us, rows[:, HEAD:].copy(), {})
+    return SampledFlight(truth[: counts[0]], samples, int(counts[LIMIT]))
 
 
-def _append_fix(one: GpsReading, out: FlightRows) -> None:
-    m = out.counts[1]
-    out.kind[m], out.t_us[m] = FIX, one.t_us
-    out.values[m, :11] = (
-        one.lat_deg, one.lon_deg, one.alt_m, *one.v_ned_mps, one.fix_type, one.satellites,
-        one.eph_m, one.epv_m, GPS_SOURCE,
-    )  # fmt: skip
-    out.counts[1] += 1
+def _measure_fixes(gps: OnboardSensor, rows: Array) -> None:
+    """Replace what a GPS measures by its fixes."""
+    at = np.flatnonzero(rows[:, 0] == FIX)
+    blocks = [np.hstack([noise.block for noise in gps.state.noises])]
+    while len(at) > BLOCK * len(blocks):
+        gps.state = gps.sensor.next_blocks(gps.state, gps.rng)
+        blocks.append(np.hstack([noise.block for noise in gps.state.noises]))
+    true, errors = rows[at, HEAD:].T, np.vstack(blocks)[: len(at)].T
+    sensor = gps.sensor
+    quality = [FIX_3D, sensor.satellites, sensor.eph_m, sensor.epv_m, GPS_SOURCE]
+    rows[at, HEAD : HEAD + 6] = sensor.fixes(true[:4], true[4:7], errors).T
+    rows[at, HEAD + 6 : HEAD + 11] = quality
 
 
-def sampled_flight(document: Mapping[str, Any]) -> SampledFlight:
-    """The flight of a scenario, whatever its faults: they do not act on the controls."""
+def sampled_flight(test: TestFile, document: Mapping[str, Any]) -> SampledFlight:
+    """The flight of a test's scenario, whatever its faults: they do not act on the controls."""
     bare = {key: value for key, value in document.items() if key not in ("schedule", "monitor")}
-    return fly_sampled(msgspec.json.encode(bare))
+    return fly_sampled(msgspec.json.encode(bare), test.envelope, has_rotors(test.vehicle))
 
 
 def estimate_attitude(

@@ -11,16 +11,13 @@ from analysis.scoring.attitude_scores import ErrorBins, flight_phases, score_bre
 from analysis.search.evaluation.compiled_flight import (
     AIR,
     FORCE,
-    HEIGHT,
     PLACE,
     dead_reckoning,
     estimate_attitude,
     imu_rows,
     sampled_flight,
 )
-from analysis.search.evaluation.envelope import violated_limits
 from analysis.search.evaluation.flight_scores import FlightScores
-from analysis.search.space.airframe import has_rotors
 from analysis.search.space.point_scenario import document_of, faults_of
 from analysis.search.space.sample_faults import break_samples
 from analysis.search.space.test_file import StateScales, TestFile
@@ -60,23 +57,12 @@ class EstimatedFlight(NamedTuple):
 
 def fly_estimated(test: TestFile, values: Mapping[str, float], seed: int) -> EstimatedFlight:
     """Fly the values of a compiled test; `seed` is the simulator's."""
-    truth, samples = sampled_flight(document_of(test, values, seed))
-    motion = (
-        truth[:, 6:10], truth[:, AIR:FORCE], truth[:, 10:13], truth[:, FORCE:HEIGHT],
-        truth[:, HEIGHT],
-    )  # fmt: skip
-    broken = violated_limits(motion, test.envelope, has_rotors(test.vehicle))
-    out = np.flatnonzero(broken)
+    truth, samples, limit = sampled_flight(test, document_of(test, values, seed))
     t_us = samples.t_us[samples.kind == IMU]
-    if len(out):
-        # The first sample beyond is the last one that counts.
-        truth, end_us = truth[: out[0] + 1], t_us[out[0]]
-        samples, t_us = samples.where(samples.t_us <= end_us), t_us[: out[0] + 1]
     samples = break_samples(samples, faults_of(test, values), seed)
     q_nb, error = estimate_attitude(
         truth, samples, test.estimator, float(np.radians(test.declination_deg))
     )
-    limit = int(broken[out[0]]) if len(out) else 0
     return EstimatedFlight(t_us, truth, imu_rows(samples), q_nb, error, samples, limit)
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from analysis.scoring.attitude_scores import AXES
 from analysis.search.evaluation.compiled_score import score_compiled
-from analysis.search.evaluation.envelope import violated_limit
+from analysis.search.evaluation.envelope import pack_envelope, violated_limit
 from analysis.search.evaluation.flight_scores import FlightScores
 from analysis.search.evaluation.point_flight import fly_point
 from analysis.search.space.airframe import has_rotors, read_airframe, trim_values
@@ -145,10 +145,14 @@ def score_flight(test: TestFile, document: Document) -> FlightScores:
     estimator, or how far the requirement is violated."""
     check_document(document)
     hovers, broken_limit = test.scenario is None and has_rotors(test.vehicle), 0
+    limits = pack_envelope(test.envelope, hovers)
 
     def leaves(truth: Truth) -> bool:
         nonlocal broken_limit
-        broken_limit = violated_limit(truth, test.envelope, hovers)
+        broken_limit = violated_limit(
+            truth.q_nb, truth.v_air_b_mps, truth.omega_b_rps, truth.specific_force_b_mps2,
+            truth.height_agl_m, limits,
+        )  # fmt: skip
         return broken_limit > 0
 
     parts: dict[str, Any]

@@ -77,7 +77,7 @@ def test_the_samples_are_those_that_the_proxy_passes_on(vehicle: str) -> None:
         initial=InitialState(height_m=300.0),
     )  # fmt: skip
     document = document_of(test, Evaluator(test).space.fixed, 7)
-    own, proxied = sampled_flight(document).samples, proxied_samples(document, [])
+    own, proxied = sampled_flight(test, document).samples, proxied_samples(document, [])
     for kind, columns in ((IMU, 6), (MAG, 3), (BARO, 1), (AIRSPEED, 1), (FIX, 6)):
         values, passed = own.values[own.kind == kind], proxied.values[proxied.kind == kind]
         assert len(values) == len(passed)
@@ -109,9 +109,9 @@ def test_a_fault_is_that_of_the_proxy(fault: str, target: str, value: float | No
     document = document_of(test, Evaluator(test).space.fixed, 3)
     entry: dict[str, object] = {"fault": fault, "target": target, "at_s": 1.0, "for_s": 1.5}
     entry |= {} if value is None else {"value": value}
-    own = break_samples(sampled_flight(document).samples, [entry], 1)
+    own = break_samples(sampled_flight(test, document).samples, [entry], 1)
     proxied = proxied_samples(document, [entry])
-    healthy = sampled_flight(document).samples
+    healthy = sampled_flight(test, document).samples
     assert len(own.kind) < len(healthy.kind) or (own.values != healthy.values).any()
     for kind, columns in ((IMU, 6), (MAG, 3), (BARO, 1), (AIRSPEED, 1), (FIX, 6)):
         values, passed = own.values[own.kind == kind], proxied.values[proxied.kind == kind]
