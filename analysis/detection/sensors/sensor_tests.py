@@ -156,17 +156,28 @@ class NavigationDetector:
     ) -> tuple[list[Result], NavigationState]:
         """The results of samples up to an event: the detector's first, then the sensors'."""
         results, detector = self.detector.step_piece(piece, state.detector)
-        # A copy is changed in place; the given state is not.
-        states = state.states.copy()
-        states.add_samples(piece)
         decision = next((result for result in results if isinstance(result, Decision)), None)
+        tested, states = self._tested(piece, decision, detector.core.motion, state.states)
+        return [*results, *tested], NavigationState(detector, states)
+
+    def _tested(
+        self,
+        piece: BlockSlice,
+        decision: Decision | None,
+        motion: MotionEstimate | None,
+        states: SensorStates,
+    ) -> tuple[list[SensorDecision], SensorStates]:
+        """The sensors' tests at the end of a piece, with the decision and the filter there."""
+        # A copy is changed in place; the given state is not.
+        states = states.copy()
+        states.add_samples(piece)
         names = _tested_sensors(piece, decision, states)
         if decision is not None and names:
             # Also without a sample: a late fix is compared with it.
-            states.view = _view_reference(decision, detector.core.motion, states.turning_rps)
+            states.view = _view_reference(decision, motion, states.turning_rps)
             names = tuple(n for n in names if states.sensors[n].stamp_us != NEVER_US)
             states.turning_rps = 0.0 if names else states.turning_rps
-        return [*results, *self._outcomes(names, states)], NavigationState(detector, states)
+        return self._outcomes(names, states), states
 
     def _outcomes(self, names: Sequence[str], states: SensorStates) -> list[SensorDecision]:
         """The tests of some sensors by the newest decision; each sample is tested once."""

@@ -1,5 +1,7 @@
 """Which samples are held against which state: without the detector, with a compass that turns."""
 
+from collections.abc import Iterator
+
 import msgspec
 import numpy as np
 import pytest
@@ -23,6 +25,19 @@ def turned(roll_rad: float) -> tuple[np.ndarray, np.ndarray]:
     return body, np.array([np.cos(roll_rad / 2), np.sin(roll_rad / 2), 0.0, 0.0])
 
 
+def pieces(block: kinds.Block) -> Iterator[kinds.BlockSlice]:
+    """The rows up to each fix and each decision, which stands as a truth."""
+    first = 0
+    for last in np.flatnonzero(np.isin(block.kind, (kinds.TRUTH, kinds.FIX))).tolist():
+        imu = first + np.flatnonzero(block.kind[first:last] == kinds.IMU)
+        run = kinds.ImuRun(block.t_us[imu], block.values[imu, : kinds.IMU_ID])
+        stamp = int(block.t_us[last])
+        yield kinds.BlockSlice(
+            block, first, last, run, np.zeros(len(imu)), 0, -1, int(block.kind[last]), stamp
+        )
+        first = last + 1
+
+
 def judged(rows: list[tuple[int, int, np.ndarray]], rolls: list[float]) -> list[tuple[str, float]]:
     """Sensor and statistic of each outcome: rows of kind, stamp and numbers, of which those of kind
     TRUTH are decisions with these rolls."""
@@ -32,17 +47,19 @@ def judged(rows: list[tuple[int, int, np.ndarray]], rolls: list[float]) -> list[
     block = kinds.Block(
         np.array([kind for kind, _, _ in rows]), np.array([t for _, t, _ in rows]), values, {}
     )
-    detector = NavigationDetector()
-    decided = []
-    for k, roll in zip(np.flatnonzero(block.kind == kinds.TRUTH).tolist(), rolls, strict=True):
-        x = np.zeros(X_SIZE)
-        x[0], x[6:10] = 6_378_137.0, turned(roll)[1]
-        motion = MotionEstimate(rows[k][1], x, np.zeros((ERROR_SIZE, ERROR_SIZE)), inertial=True)
-        decided.append((k, decision(rows[k][1]), motion))
+    detector, left, found = NavigationDetector(), iter(rolls), []
     states = detector.new_state().states
     states.sensors["mag"].variance = MODELS["mag"].least_sigma ** 2
-    found, _ = detector._judged(block, decided, states)
-    return [(result.sensor, result.statistic or 0.0) for _, result in found]
+    for piece in pieces(block):
+        decided, motion = None, None
+        if piece.kind == kinds.TRUTH:
+            x = np.zeros(X_SIZE)
+            x[0], x[6:10] = 6_378_137.0, turned(next(left))[1]
+            p = np.zeros((ERROR_SIZE, ERROR_SIZE))
+            decided, motion = decision(piece.t_us), MotionEstimate(piece.t_us, x, p, inertial=True)
+        results, states = detector._tested(piece, decided, motion, states)
+        found += results
+    return [(result.sensor, result.statistic or 0.0) for result in found]
 
 
 def decision(t_us: int) -> Decision:
@@ -101,9 +118,9 @@ def test_a_fix_is_compared_with_its_own_epoch_even_if_no_other_sensor_had_a_samp
     motion = MotionEstimate(0, x, np.zeros((ERROR_SIZE, ERROR_SIZE)), inertial=True)
     faulty = msgspec.structs.replace(decision(STEP_US), hypothesis="imu")
     detector = NavigationDetector()
-    found, _ = detector._judged(
-        kinds.Block(np.array(order), stamps, values, {}),
-        [(1, decision(0), motion), (2, faulty, motion)],
-        detector.new_state().states,
-    )
-    assert [result.reason for row, result in found if row == 3] == ["no healthy reference"] * 2
+    states, found = detector.new_state().states, []
+    decisions = [decision(0), faulty, None]
+    block = kinds.Block(np.array(order), stamps, values, {})
+    for piece, decided in zip(pieces(block), decisions, strict=True):
+        found, states = detector._tested(piece, decided, motion, states)
+    assert [result.reason for result in found] == ["no healthy reference"] * 2
