@@ -152,6 +152,9 @@ class Server:
 
     def _step_compiled(self, forwarder: "Forwarder") -> None:
         """Forward on the compiled path until something must be handled in Python."""
+        # A lone peer's chunks are written there: what was collected for it comes first.
+        if any(self.links[number].peer_count == 1 for number in self._held):
+            self._send_held()
         next_ns, due_us = round(self._maintain_s * 1e9), self.core.next_due_us
         # Until the next due frame or the next maintenance of the links.
         due_ns = next_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns

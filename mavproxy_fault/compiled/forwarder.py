@@ -42,15 +42,16 @@ class Forwarder(CompiledCore):
         loop, own = self.loop, k.address(self.loop)
         loop[k.BASE], loop[k.POLLS_AT] = base_ns, k.address(self.polls)
         loop[k.TIME_AT], loop[k.NAME_LENGTH_AT] = own + 8 * k.SECONDS, own + 8 * k.NAME_LENGTH
+        self._streams = [0] * len(links)  # the number of each link's only stream
         for number, link in enumerate(links):
             self._describe_port(number, link)
-            loop[k.COMPILED_LINKS] |= self.ports[number, k.COMPILED] << number
 
     def _describe_port(self, number: int, link: Link) -> None:
         ports = self.ports
         ports[number, k.FD] = link.filenos()[0]
         ports[number, k.LISTENS] = isinstance(link, UdpServer)
         ports[number, k.COMPILED] = isinstance(link, UdpServer | UdpClient)
+        ports[number, k.STREAM] = not link.datagrams
         if isinstance(link, UdpServer):
             ports[number, k.NAME_SIZE] = NAME_SIZES[link.sock.family]
 
@@ -70,13 +71,17 @@ class Forwarder(CompiledCore):
             self._take_over(now_us)
             return reason
         if reason == k.TO_SETTLE:
-            self._sends += self._segments(loop[k.OTHERS], now_us)
+            for send in self._segments(loop[k.OTHERS], now_us):
+                went = self.ports[send.link, k.WENT]  # of it, or of what was before it
+                self.ports[send.link, k.WENT] = max(went - len(send.data), 0)
+                if went < len(send.data):
+                    self._sends.append(send._replace(data=send.data[went:]))
         self._settle(now_us)
         return reason
 
     def serves(self, number: int) -> bool:
-        """Whether a link goes this way."""
-        return bool(self.ports[number, k.COMPILED])
+        """Whether a link always goes this way; a stream only while it has one peer."""
+        return bool(self.ports[number, k.COMPILED]) and not self.ports[number, k.STREAM]
 
     def _take_over(self, now_us: int) -> None:
         """Finish a datagram that machine code has stopped in, with the core.
@@ -93,7 +98,7 @@ class Forwarder(CompiledCore):
                 return
         came_ns = self.loop[k.CAME]
         if data:
-            sends = self.finish(number, data, now_us)
+            sends = self.finish(number, data, now_us, stream=self._streams[number])
             self._sends += sends
             self._latencies[number].add(time.monotonic_ns() - came_ns)
 
@@ -116,6 +121,11 @@ class Forwarder(CompiledCore):
         """Follow the engine, the control path and the peers."""
         super()._refresh()
         for number, link in enumerate(self._links):
+            if self.ports[number, k.STREAM]:
+                self._follow_stream(number, link)
+            bit = 1 << number
+            self.loop[k.COMPILED_LINKS] &= ~bit
+            self.loop[k.COMPILED_LINKS] |= bit * self.ports[number, k.COMPILED]
             if (
                 isinstance(link, UdpServer)
                 and [*link.peers.by_address] != self._known_peers[number]
@@ -126,6 +136,14 @@ class Forwarder(CompiledCore):
                     start = (number * k.PEERS + row) * k.NAME
                     self.shared.peers[start : start + len(name)] = name
                     self.shared.heard[number, row] = 0
+
+    def _follow_stream(self, number: int, link: Any) -> None:
+        """Take a stream that has one peer, with nothing in its queue and no incomplete frame."""
+        peer = link.lone_peer() if hasattr(link, "lone_peer") else None
+        taken = peer is not None and not self._core.is_incomplete(number, peer[1])
+        if peer is not None:
+            self.ports[number, k.FD], self._streams[number] = peer
+        self.ports[number, k.COMPILED] = taken
 
     # What it counted
 

@@ -64,7 +64,8 @@ RESEALED, CHANGED = 1, 2  # what ALTERED says: a new checksum, or other bytes to
 FD, COMPILED, LISTENS, PEER_COUNT, FROM_VEHICLE = range(5)
 DATAGRAMS, BYTES, FRAMES, MISSING, FAULTED, SENT, BYTES_SENT, DROPS, ERRORS = range(5, 14)
 NAME_SIZE, BAD_SIGNATURES = 14, 15  # bytes of an address, 0 if it is always the same
-PORT_SIZE = 16
+STREAM, WENT = 16, 17  # whether it is a stream; bytes of the chunk that it has taken
+PORT_SIZE = 18
 LINKS, BYTES_OUT = range(2)  # columns of `segments`
 # Entries of `loop`
 DEADLINE, BASE, SPIN, PRECISE, POLLS, LINK_COUNT, COMPILED_LINKS, KEEP = range(8)

@@ -1,4 +1,4 @@
-"""The compiled form's sockets: wait, receive and send datagrams, all from within.
+"""The compiled form's sockets and streams: wait, receive and send, all from within.
 
 System calls are made from compiled code, so a busy stretch never returns to the interpreter. The
 structures are those of 64-bit Linux: `pollfd` and `timespec` are one and two 64-bit words.
@@ -28,6 +28,8 @@ _sendto = types.ExternalFunction(
     "sendto",
     types.intp(types.intc, types.intp, types.uintp, types.intc, types.intp, types.uintc),
 )
+_read = types.ExternalFunction("read", types.intp(types.intc, types.intp, types.uintp))
+_write = types.ExternalFunction("write", types.intp(types.intc, types.intp, types.uintp))
 _ppoll = types.ExternalFunction(
     "ppoll", types.intc(types.intp, types.uintp, types.intp, types.intp)
 )
@@ -76,13 +78,33 @@ def _send(at: int, length: int, link: int, shared: Shared) -> None:
 
 
 @kernel
+def _write_to(at: int, length: int, link: int, shared: Shared) -> None:
+    """Write to a stream; what the kernel does not take, and what follows, is left to the core."""
+    loop, ports = shared.loop, shared.ports
+    went = max(_write(ports[link, k.FD], at, length), 0)
+    ports[link, k.WENT] += went
+    ports[link, k.BYTES_SENT] += went
+    if went == length:
+        ports[link, k.SENT] += 1
+    else:
+        loop[k.OTHERS] |= 1 << link
+        loop[k.COMPILED_LINKS] &= ~(1 << link)
+
+
+@kernel
 def _send_segments(shared: Shared) -> None:
     """Send the outgoing segments on the links of the compiled form."""
-    loop, at = shared.loop, shared.outs.ctypes.data
+    loop, ports, at = shared.loop, shared.ports, shared.outs.ctypes.data
+    for link in range(loop[k.LINK_COUNT]):
+        ports[link, k.WENT] = 0
     for segment in range(loop[k.SEGMENT]):
         links, length = shared.segments[segment, k.LINKS], shared.segments[segment, k.BYTES_OUT]
         for link in range(loop[k.LINK_COUNT]):
-            if links & loop[k.COMPILED_LINKS] & 1 << link:
+            if links & loop[k.COMPILED_LINKS] & 1 << link == 0:
+                continue
+            if ports[link, k.STREAM]:
+                _write_to(at, length, link, shared)
+            else:
                 _send(at, length, link, shared)
         at += length
 
@@ -103,16 +125,21 @@ def _give_back(shared: Shared) -> None:
 
 @kernel
 def _serve(link: int, shared: Shared) -> int:
-    """Pass on a datagram of a link; the reason to return, or GOES_ON or IS_EMPTY."""
+    """Pass on a datagram or chunk of a link; the reason to return, or GOES_ON or IS_EMPTY."""
     loop, ports = shared.loop, shared.ports
     started = _now_ns(loop)
     if started >= loop[k.DEADLINE]:  # what is due leaves before it
         return k.TIME_IS_UP
-    loop[k.NAME_LENGTH] = k.NAME
-    length = _recvfrom(
-        ports[link, k.FD], shared.data.ctypes.data, k.ROW, DONTWAIT,
-        shared.name.ctypes.data, loop[k.NAME_LENGTH_AT],
-    )  # fmt: skip
+    loop[k.NAME_LENGTH], descriptor, data_at = k.NAME, ports[link, k.FD], shared.data.ctypes.data
+    if ports[link, k.STREAM]:
+        length = _read(descriptor, data_at, k.ROW)
+        if length == 0 or (length < 0 and shared.polls[link] >> 48 != 0):
+            ports[link, k.COMPILED] = 0  # it has ended, or another peer comes: for the interpreter
+            return k.OTHER_READY
+    else:
+        length = _recvfrom(
+            descriptor, data_at, k.ROW, DONTWAIT, shared.name.ctypes.data, loop[k.NAME_LENGTH_AT]
+        )
     if length < 0:
         return IS_EMPTY
     loop[k.LINK], loop[k.CAME] = link, started
@@ -160,6 +187,8 @@ def _serve_links(look: bool, shared: Shared) -> int:
             loop[k.SERVED] = loop[k.SERVED] + 1 if n == before else 1
             if found >= 0:
                 return found
+            if shared.ports[n, k.STREAM]:  # one chunk, then the others have their turn
+                break
     loop[k.SERVED] = 0  # all have had their turn
     return reason
 

@@ -145,6 +145,12 @@ class ReopenedLink:
         """1 while it is open."""
         return int(self._peer is not None and self._peer[1].open)
 
+    def lone_peer(self) -> tuple[int, int] | None:
+        """Return descriptor and number of the stream if it is open and its queue is empty."""
+        if self._peer is None or not self._peer[1].open or self._peer[1].has_pending:
+            return None
+        return self._peer[1].fileno, self._number
+
     def filenos(self) -> list[int]:
         """Return the descriptors of the present stream."""
         return self._descriptors.filenos()

@@ -452,11 +452,15 @@ class Core:
 
     def take_incomplete(self, link: int, stream: int) -> bytes:
         """Return and forget the bytes of a stream that wait for the rest of their frame."""
-        parser = self._parsers.get((link, stream))
-        if parser is None or not parser.incomplete:
+        if not self.is_incomplete(link, stream):
             return b""
         self._give_up_us.pop((link, stream), None)
-        return parser.take_incomplete()
+        return self._parsers[link, stream].take_incomplete()
+
+    def is_incomplete(self, link: int, stream: int) -> bool:
+        """Whether bytes of a stream wait for the rest of their frame."""
+        parser = self._parsers.get((link, stream))
+        return parser is not None and parser.incomplete > 0
 
     def to_links(self, mask: int, data: bytes, when_us: int) -> list[Send]:
         """Return the sends of the same bytes to several links, a bit mask."""

@@ -158,8 +158,12 @@ def test_chunks_that_arrive_together_are_sent_together_to_peers_of_a_server(
         machine.make()
         running.use_compiled()
     frames = [heartbeat(seq) for seq in range(20)]
-    with udp() as vehicle, socket.create_connection(address(outlet), timeout=10) as peer:
-        while not outlet.peer_count:
+    with (
+        udp() as vehicle,
+        socket.create_connection(address(outlet), timeout=10) as peer,
+        socket.create_connection(address(outlet), timeout=10),
+    ):
+        while outlet.peer_count < 2:
             outlet.read()
         for frame in frames:
             vehicle.sendto(frame, address(master))
