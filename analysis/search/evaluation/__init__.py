@@ -1,1 +1,1 @@
-"""Evaluation of search points: by compiled kernels, in the simulator, or with an autopilot."""
+"""Evaluation of search points: by compiled flights, through the proxy, or with an autopilot."""

@@ -12,7 +12,6 @@ from analysis.campaign.campaign_file import FaultChoice, SubjectChoice, read_cam
 from analysis.campaign.cell import Cell, CellResult
 from analysis.campaign.results.evidence import describe_fault, repeatable_part
 from mavproxy_fault import cli
-from mavproxy_fault.documents import extras
 
 HERE = Path(__file__).parents[1]
 
@@ -51,15 +50,6 @@ def test_each_row_is_made_again_by_its_command(folder: Path, monkeypatch) -> Non
     assert program == "mavproxy-fault"
     assert cli.main([*words, *arguments, "row"]) == 1
     assert rows_of(Path("again") / "fmea.csv") == [severe]
-
-
-def test_without_scipy_nothing_is_flown(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(extras, "find_spec", lambda _: None)
-    assert cli.main(["campaign", "small.yaml", "--evidence", "e", "--out", "c"]) == 2
-    assert "pip install scipy" in capsys.readouterr().err
-    assert not Path("c").exists()
 
 
 @pytest.mark.parametrize(("subject", "same"), [("px4", True), ("mahony", False)])
