@@ -1,5 +1,7 @@
 """Assess a flight: its checks, its verdict and all numbers of the report as one summary."""
 
+import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -22,6 +24,8 @@ from analysis.scoring.criteria import Criteria, check_missed_faults
 from analysis.scoring.requirements import RequirementResult, read_requirements
 from analysis.scoring.vehicle_outcome import is_crash_text
 
+EVENTS_KEPT = 200  # chosen: of events with one text but for its numbers, in the summary
+NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
 MET = {True: PASS, False: FAIL, None: NONE}
 # Checks of the autopilot's own alarms, which are expected while a fault is injected.
 AUTOPILOT_ALARMS = {
@@ -116,6 +120,7 @@ def _summary(
     recording, run = flight.recording, flight.summary
     position = recording.curve("position-error", "fused", "estimate")
     position_rmse_m = _rms(position.value) if position else None
+    events, omitted = _events(recording)
     return {
         "verdict": verdict,
         "outcome": msgspec.to_builtins(vehicle_outcome(recording)),
@@ -140,12 +145,25 @@ def _summary(
         "signals": _numbers(recording),
         "links": [link._asdict() for link in recording.links],
         "spans": [span._asdict() for span in recording.spans],
-        "events": [event._replace(t_s=round(event.t_s, 3))._asdict() for event in recording.events],
+        "events": events,
+        "events_omitted": omitted,
         "parameters": {name: values[-1][1] for name, values in recording.parameters.items()},
         "notes": recording.notes,
         "size": recording.size,
         "junk_bytes": recording.junk_bytes,
     }  # fmt: skip
+
+
+def _events(recording: FlightData) -> tuple[list[dict[str, Any]], dict[str, int]]:
+    """The first `EVENTS_KEPT` events of each kind and text, and how many more there are of each."""
+    kept, counts = [], Counter[str]()
+    for event in recording.events:
+        subject = f"{event.kind}: {NUMBERS.sub('#', event.text)}"
+        counts[subject] += 1
+        if counts[subject] <= EVENTS_KEPT:
+            kept.append(event._replace(t_s=round(event.t_s, 3))._asdict())
+    omitted = {text: n - EVENTS_KEPT for text, n in counts.items() if n > EVENTS_KEPT}
+    return kept, omitted
 
 
 def _rms(values: np.typing.NDArray[np.float64]) -> float | None:

@@ -9,6 +9,7 @@ Files are memory-mapped: `read_columns` needs memory for the columns it returns,
 one block, whatever the size of the file.
 """
 
+import mmap
 import struct
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
@@ -209,12 +210,16 @@ def read_parts(path: str | Path) -> Iterator[Log]:
     data = map_bytes(Path(path))
     for block in _blocks(data, BLOCK_FRAMES):
         yield _log(data, block)
+        # Pages that were read count as memory of the process until they are given back.
+        if isinstance(data, np.memmap):
+            data._mmap.madvise(mmap.MADV_DONTNEED)  # type: ignore[attr-defined]
 
 
 def _log(data: NDArray[np.uint8], block: _Block) -> Log:
     known, end, junk = block
     frames = _frames(data, known)
-    others = _foreign_frames(data, known.at, frames)
+    # Only as far as the block goes, not to the end of the log.
+    others = _foreign_frames(data[:end], known.at, frames)
     if len(others.at):
         junk -= int((_frame_ends(data, others.at) - others.at).sum()) + 8 * len(others.at)
         order = np.argsort(np.concatenate([known.at, others.at]), kind="stable")
@@ -244,11 +249,14 @@ def _foreign_frames(
     begins = np.append(at[1:] - 8, len(data))
     found: list[int] = []
     for gap in np.flatnonzero(begins - ends > HEADER_V1 + 10).tolist():
-        place, stop, some = int(ends[gap]), int(begins[gap]), []
-        while place + HEADER_V2 + 8 < stop and data[place + 8] in (0xFD, 0xFE):
-            some.append(place + 8)
-            place = int(_frame_ends(data, np.array(some[-1:]))[0])
-        found += some if place == stop else []
+        # Plain bytes: a log may have millions of such records.
+        raw, place, some = data[ends[gap] : begins[gap]].tobytes(), 8, []
+        while place + HEADER_V2 < len(raw) and raw[place] in (0xFD, 0xFE):
+            some.append(int(ends[gap]) + place)
+            second, signed = raw[place] == 0xFD, raw[place + 2] & SIGNED == SIGNED
+            place += raw[place + 1] + (HEADER_V2 if second else HEADER_V1) + 2 + 8
+            place += SIGNATURE_LENGTH if second and signed else 0
+        found += some if place == len(raw) + 8 else []
     places = np.array(found, np.int64)
     stamps = data[places[:, None] - np.arange(8, 0, -1)].view(">i8")[:, 0].astype(np.int64)
     others = LogFrames(places, stamps, np.full(len(places), -1, np.int16))

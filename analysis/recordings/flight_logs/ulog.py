@@ -63,15 +63,17 @@ def read_ulog(
     raw = _joined_rows(found)
     if not found.formats:
         raise ConfigError(f"{path}: not a readable ULog; give a complete file")
-    stamps = {key: RowStamps(rows["at"], *_own_times(rows)) for key, rows in raw.items()}
     others = {kind: [row for row in found.others if row[1] == kind] for kind in "LCPOQIM"}
     placed: dict[Any, RowStamps] = {kind: _placed(kind, rows) for kind, rows in others.items()}
-    times = place_rows(placed | stamps, begin_us=found.begin_us)
+    stamps = ((key, RowStamps(rows["at"], *_own_times(rows))) for key, rows in raw.items())
+    times = place_rows(placed | dict(stamps), begin_us=found.begin_us)
     if not any(times.times[key].any() for key in raw):
         raise ConfigError(f"{path}: holds no message with a time; give a log of a flight")
+    begin = min(int(rows["at"][0]) for rows in raw.values())
     topics = {}
-    for key, rows in raw.items():
-        keep, t_us = times.keep[key], times.times[key]
+    for key in [*raw]:
+        # Each topic's rows are given up for its columns, to limit memory.
+        rows, keep, t_us = raw.pop(key), times.keep[key], times.times[key]
         if not keep.any():
             continue
         columns = {n: rows[n][keep] for n in rows.dtype.names or () if n != "at"}
@@ -79,7 +81,7 @@ def read_ulog(
     texts = _texts(others, times)
     info = dict(_keyed(payload) for _, _, payload in others["I"])
     several = _several_infos(others["M"])
-    parameters, changes = _parameters(found, raw, others["P"], times)
+    parameters, changes = _parameters(begin, others["P"], times)
     dropouts = [
         (int(t_us), int.from_bytes(payload[:2], "little") * 1e-3)
         for t_us, (_, _, payload) in zip(times.times["O"], others["O"], strict=True)
@@ -98,11 +100,13 @@ def _joined_rows(found: ULogMessages) -> dict[tuple[str, int], Rows]:
     for topic in found.topics.values():
         # A topic that is subscribed again has another number.
         by_name.setdefault((topic.name, topic.instance), []).append(topic)
-    return {
-        key: np.concatenate([rows for topic in some for rows in topic.rows])
-        for key, some in by_name.items()
-        if any(topic.rows for topic in some) and len({topic.dtype for topic in some}) == 1
-    }
+    joined = {}
+    for key, some in by_name.items():
+        if any(topic.rows for topic in some) and len({topic.dtype for topic in some}) == 1:
+            joined[key] = np.concatenate([rows for topic in some for rows in topic.rows])
+        for topic in some:
+            topic.rows.clear()
+    return joined
 
 
 def _own_times(rows: Rows) -> tuple[NDArray[np.int64] | None, NDArray[np.int64] | None]:
@@ -164,13 +168,9 @@ def _several_infos(rows: list[tuple[int, str, bytes]]) -> dict[str, list[list[An
 
 
 def _parameters(
-    found: ULogMessages,
-    raw: Mapping[tuple[str, int], Rows],
-    rows: list[tuple[int, str, bytes]],
-    times: RowTimes,
+    begin: int, rows: list[tuple[int, str, bytes]], times: RowTimes
 ) -> tuple[dict[str, float], list[tuple[int, str, float]]]:
-    """Parameters before the first sample, and those that change after it."""
-    begin = min((int(some["at"][0]) for some in raw.values()), default=1 << 62)
+    """Parameters before the first sample at `begin`, and those that change after it."""
     initial, changes = {}, []
     for t_us, (at, _, payload) in zip(times.times["P"].tolist(), rows, strict=True):
         name, value = _keyed(payload)

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.report.curves.recording import Message, Vector
 from analysis.report.page.packed_numbers import PackedNumbers
@@ -45,19 +44,14 @@ def field_data(messages: Mapping[str, Message], where: str, folder: Path) -> Fie
     if most_mb == 0:
         return FieldData()
     # Sorted, so that message numbers are reproducible.
-    tables = [
-        # A message of texts only shows when it came.
-        (name, m.t_s, dict(_columns(m.columns)) or {"count": np.arange(1.0, len(m.t_s) + 1)})
-        for name, m in sorted(messages.items())
-        if len(m.t_s)
-    ]
+    tables = [(name, m) for name, m in sorted(messages.items()) if len(m.t_s)]
     # + 1: the times are a column too.
-    sizes = [(len(t_s), len(columns) + 1) for _, t_s, columns in tables]
+    sizes = [(len(m.t_s), sum(1 for _ in _columns(m, len(m.t_s))) + 1) for _, m in tables]
     most_rows = None if most_mb is None else _rows(sizes, most_mb * 1e6 / BYTES_OF_A_CELL)
     found = FieldData()
-    for number, (name, t_s, columns) in enumerate(tables):
-        entry, text = _packed(t_s, columns, most_rows)
-        found.index.append({"name": name, "number": number, "rows": len(t_s)} | entry)
+    for number, (name, message) in enumerate(tables):
+        entry, text = _packed(message, most_rows)
+        found.index.append({"name": name, "number": number, "rows": len(message.t_s)} | entry)
         if most_mb is not None:
             found.inside[number] = text
             continue
@@ -92,33 +86,37 @@ def _rows(sizes: list[tuple[int, int]], cells: float) -> int:
     return low
 
 
-def _columns(columns: Mapping[str, NDArray[Any]]) -> Iterator[tuple[str, Vector]]:
-    """Numeric fields; array fields as their elements; constant zeros are kept."""
-    for name, column in columns.items():
+def _columns(message: Message, step: int) -> Iterator[tuple[str, Vector]]:
+    """Every `step`-th row of numeric fields, of array fields by their elements; constant zeros are
+    kept. A message of texts only shows when it came."""
+    shown = False
+    for name, column in message.columns.items():
         # The times are the axis of every field.
         if name in ("timestamp", "TimeUS") or column.dtype.kind not in "iufb":
             continue
+        shown = True
         if column.ndim == 1:
-            yield name, column.astype(float)
+            yield name, column[::step].astype(float)
         else:
             for i in range(min(column.shape[1], LONGEST_ARRAY)):
-                yield f"{name}[{i}]", column[:, i].astype(float)
+                yield f"{name}[{i}]", column[::step, i].astype(float)
+    if not shown:
+        yield "count", np.arange(1.0, len(message.t_s) + 1)[::step]
 
 
-def _packed(
-    t_s: Vector, columns: Mapping[str, Vector], most_rows: int | None
-) -> tuple[dict[str, Any], str]:
+def _packed(message: Message, most_rows: int | None) -> tuple[dict[str, Any], str]:
     """One message's index entry and packed numbers; a thinned message keeps every `step`-th row."""
     # Rounded up, so that no message exceeds the limit.
-    step = 1 if most_rows is None else max(1, -(-len(t_s) // most_rows))
+    step = 1 if most_rows is None else max(1, -(-len(message.t_s) // most_rows))
     numbers = PackedNumbers()
-    entry: dict[str, Any] = {"step": step, "t": numbers.add_times(t_s[::step]), "fields": []}
-    for name, values in columns.items():
-        thin = values[::step]
+    entry: dict[str, Any] = {"step": step, "t": numbers.add_times(message.t_s[::step])}
+    entry["fields"] = []
+    for name, values in _columns(message, step):
         # GPS microseconds or 1e-7 degrees would lose digits in float32; differences to the first
         # value keep them.
         first = next(
-            (v for v in thin[:1].tolist() if np.isfinite(v) and abs(v) > OFFSET_ABOVE), 0.0
+            (v for v in values[:1].tolist() if np.isfinite(v) and abs(v) > OFFSET_ABOVE), 0.0
         )
-        entry["fields"].append({"name": name, "y": numbers.add_values(thin - first), "add": first})
+        place = numbers.add_values(values - first)
+        entry["fields"].append({"name": name, "y": place, "add": first})
     return entry, numbers.text()

@@ -157,7 +157,7 @@ def _events(recording: FlightData) -> str:
     if not rows:
         return ""
     missing = len(recording.events) - len(rows)
-    note = f"{missing} more are in the JSON file." if missing else ""
+    note = f"{missing} more; up to 200 of one text are in the JSON file." if missing else ""
     title = f"Events and messages ({len(recording.events)})"
     return _table(ReportTable(title, ("time", "kind", "text"), rows, note, folded=len(rows) > 12))
 

@@ -77,17 +77,26 @@ def link_quality(
                 continue
             t_s, gap_s = clock.at(some["t_us"]), some["gap_us"] * 1e-6
             begin_s = clock.at(some["gap_at_us"])
-            if armed:
-                starts, stops = np.array(armed).T[:, :, None]
-                # Of a silence counts what lies within an armed window.
-                covered = np.minimum(begin_s + gap_s, stops) - np.maximum(begin_s, starts)
-                gap_s = np.maximum(covered.max(axis=0), 0.0)
-            lost, longest_s = int(some["lost"].sum()), float(gap_s.max())
+            longest_s = _longest(begin_s, gap_s, armed) if armed else float(gap_s.max())
+            lost = int(some["lost"].sum())
             links.append(LinkQuality(log, key >> 8, key & 255, total, lost, longest_s))
             if total >= FEWEST and some["lost"].any():
                 name = f"{key >> 8}/{key & 255} {log}".strip()
                 signals.append(_loss(name, t_s, some))
     return links, signals
+
+
+def _longest(
+    begin_s: NDArray[np.float64], gap_s: NDArray[np.float64], armed: Sequence[tuple[float, float]]
+) -> float:
+    """The longest part of a silence (n,) within an armed window."""
+    (starts, stops), longest_s = np.array(armed).T, 0.0
+    for i in np.argsort(-gap_s).tolist():
+        if gap_s[i] <= longest_s:
+            break
+        inside = np.minimum(begin_s[i] + gap_s[i], stops) - np.maximum(begin_s[i], starts)
+        longest_s = max(longest_s, float(inside.max()))
+    return longest_s
 
 
 def _loss(name: str, t_s: NDArray[np.float64], some: NDArray[np.void]) -> Signal:

@@ -7,7 +7,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from analysis.report.curves.recording import UNGRADED, Event, FlightData, Signal
+from analysis.report.curves.recording import (
+    UNGRADED,
+    Event,
+    FlightData,
+    Signal,
+    inside_windows,
+)
 from analysis.report.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.judging.autopilot_texts import texts_check
 from analysis.report.judging.check_limits import Thresholds, read_thresholds
@@ -405,3 +411,22 @@ def test_findings_are_told_in_order_of_time_with_the_first_cause_first() -> None
     ]  # fmt: skip
     assert [(t_s, c.name) for t_s, c in chain_of(checks)] == [(5.1, "attitude"), (5.4, "clipping")]
     assert chain_text(checks) == "attitude from 5.1 s, then clipping from 5.4 s"
+
+
+def test_of_a_repeated_message_the_summary_has_the_first_ones_and_counts_the_rest(
+    flight: Flight,
+) -> None:
+    texts = tuple((2, 6, b"Gyro: %d" % i) for i in range(500))
+    summary = outcome(flight(texts=(*texts, (9, 6, b"Terrain loaded")))).summary
+    said = [event["text"] for event in summary["events"]]
+    assert [text for text in said if text.startswith("Gyro")] == [f"Gyro: {i}" for i in range(200)]
+    assert "Terrain loaded" in said
+    assert summary["events_omitted"] == {"text: Gyro: #": 300}
+
+
+def test_times_are_found_in_windows_that_overlap_or_are_out_of_order() -> None:
+    t_s = np.arange(10.0)
+    inside = inside_windows(t_s, [(6.0, 7.0), (1.0, 3.5), (3.0, 4.0)])
+    assert t_s[inside].tolist() == [1.0, 2.0, 3.0, 4.0, 6.0, 7.0]
+    assert not inside_windows(t_s, []).any()
+    assert inside_windows(t_s, None).all()

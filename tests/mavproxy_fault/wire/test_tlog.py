@@ -150,6 +150,17 @@ def test_all_blocks_together_equal_the_entire_log(
     assert np.array_equal(tlog.read_columns(path)["HIL_SENSOR"], complete)
 
 
+def test_a_block_does_not_count_the_frames_of_those_that_follow(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent = [*(hil_sensor(i) for i in range(7)), *(text(i, b"x") for i in range(7))]
+    path = written(tmp_path / "a.tlog", stamped(sent))
+    monkeypatch.setattr(tlog, "BLOCK_FRAMES", 7)
+    parts = list(tlog.read_parts(path))
+    assert [len(part.frames) for part in parts] == [7, 7]
+    assert all(part.frames["known"].all() for part in parts)
+
+
 def test_only_the_requested_messages_are_returned(tmp_path: Path) -> None:
     path = written(tmp_path / "a.tlog", stamped([hil_sensor(0), text(1, b"x")]))
     assert list(tlog.read_columns(path, only={"STATUSTEXT"})) == ["STATUSTEXT"]
