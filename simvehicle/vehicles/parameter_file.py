@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import msgspec
 
@@ -105,7 +105,7 @@ def read_parameters(name: str | Path, kind: type[T]) -> T:
         If there is no such set or file, or its content is invalid.
     """
     path = parameter_path(name)
-    return cast(T, _parameters_at(path, _changed_ns(path), kind))
+    return cast(T, _parameters_at(path, _changed_ns(path), cast(Any, kind)))
 
 
 def parameter_document(name: str | Path) -> Document:
