@@ -28,6 +28,20 @@ def test_every_link_leads_to_a_file(document: Path) -> None:
     assert [target for target in targets if not (document.parent / target).exists()] == []
 
 
+HEADER = re.compile(r"^\|(.*)\|\n\|[-:| ]+\|$", re.M)  # of a table
+
+
+def test_every_column_of_a_table_has_a_name() -> None:
+    """A screen reader reads it before each cell."""
+    unnamed = [
+        f"{document.name}: {header}"
+        for document in DOCUMENTS
+        for header in HEADER.findall(document.read_text(encoding="utf-8"))
+        if document.parent.name == "docs" and any(not cell.strip() for cell in header.split("|"))
+    ]
+    assert unnamed == []
+
+
 def pages_of(navigation: list[dict[str, object]]) -> list[str]:
     """The pages of a navigation of mkdocs, in order."""
     found: list[str] = []

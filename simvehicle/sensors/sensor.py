@@ -15,7 +15,7 @@ from simvehicle.vehicles.body import Truth
 Rate = Annotated[float, Meta(gt=0, le=2000)]
 
 
-class SensorState(NamedTuple):
+class DrawnErrors(NamedTuple):
     """The row of the next sample in the blocks of errors, and the state of each noise model."""
 
     row: int
@@ -47,23 +47,23 @@ class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
         model: NoiseModel = getattr(self, name)
         return model
 
-    def new_state(self, rng: np.random.Generator) -> SensorState:
+    def new_state(self, rng: np.random.Generator) -> DrawnErrors:
         """Draw the constant errors and the first block of each noise model."""
         models = ((self.noise_model(name), count) for name, count in self.channels.items())
-        return SensorState(0, [model.new_state(rng, n, self.rate_hz) for model, n in models])
+        return DrawnErrors(0, [model.new_state(rng, n, self.rate_hz) for model, n in models])
 
-    def next_blocks(self, state: SensorState, rng: np.random.Generator) -> SensorState:
+    def next_blocks(self, state: DrawnErrors, rng: np.random.Generator) -> DrawnErrors:
         """Draw the next block of each noise model."""
         pairs = zip(map(self.noise_model, self.channels), state.noises, strict=True)
-        return SensorState(0, [model.refill(noise, rng, self.rate_hz) for model, noise in pairs])
+        return DrawnErrors(0, [model.refill(noise, rng, self.rate_hz) for model, noise in pairs])
 
     def sample(
-        self, truth: Truth, state: SensorState, rng: np.random.Generator
-    ) -> tuple[Reading, SensorState]:
+        self, truth: Truth, state: DrawnErrors, rng: np.random.Generator
+    ) -> tuple[Reading, DrawnErrors]:
         """Measure with the errors of the next sample."""
         row, noises = self.next_blocks(state, rng) if state.row == BLOCK else state
         reading = self.measure(truth, *(noise.block[row].tolist() for noise in noises))
-        return reading, SensorState(row + 1, noises)
+        return reading, DrawnErrors(row + 1, noises)
 
     def measure(self, truth: Truth, *errors: list[float]) -> Any:
         """The reading of the truth, with the errors of each noise model; a kind defines it."""

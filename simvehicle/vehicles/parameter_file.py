@@ -105,8 +105,7 @@ def read_parameters(name: str | Path, kind: type[T]) -> T:
         If there is no such set or file, or its content is invalid.
     """
     path = parameter_path(name)
-    kept: Any = kind  # a class can be hashed, even if its instances cannot
-    return cast(T, _parameters_at(path, _changed_ns(path), kept))
+    return cast(T, _parameters_at(path, _changed_ns(path), cast(Any, kind)))
 
 
 def parameter_document(name: str | Path) -> Document:
