@@ -101,10 +101,13 @@ def test_against_overlays_curves_and_lists_differing_parameters(
     assert "<td>WPNAV_SPEED</td>" in text
 
 
-def test_figures_are_written_as_png_and_svg(flight: Flight, tmp_path: Path) -> None:
-    report(flight(seconds=5), "--figures", "--out", tmp_path / "out")
+def test_figures_are_written_in_three_forms(flight: Flight, tmp_path: Path) -> None:
+    records = tlog.read_records(flight(seconds=5))
+    few = [(t_us, raw) for t_us, raw, layout in records if layout and layout.name == "GPS_RAW_INT"]
+    tlog.write_log(tmp_path / "few.tlog", few)
+    report(tmp_path / "few.tlog", "--figures", "--out", tmp_path / "out")
     names = {path.name for path in (tmp_path / "out" / "figures").iterdir()}
-    assert {"roll.png", "roll.svg", "map.png", "map.svg"} <= names
+    assert {"speed.png", "speed.svg", "speed.pdf", "map.png", "map.svg", "map.pdf"} <= names
 
 
 def test_csv_parquet_and_mcap_hold_the_same_rows(flight: Flight, tmp_path: Path) -> None:
