@@ -1,6 +1,7 @@
 """A short flight as a tlog, nominal unless a test adds a problem."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -66,13 +67,20 @@ def frames(
     return records
 
 
+def write_flight(folder: Path, name: str = "flight", seconds: int = 20, **trouble: object) -> Path:
+    """Write a flight's tlog to a folder."""
+    path = folder / f"{name}.tlog"
+    tlog.write_log(path, frames(seconds, **trouble))  # type: ignore[arg-type]
+    return path
+
+
+@pytest.fixture(scope="session")
+def flight_in() -> Flight:
+    """`write_flight`, for flights that several tests share."""
+    return write_flight
+
+
 @pytest.fixture
 def flight(tmp_path: Path) -> Flight:
     """Write a flight's tlog: `flight(name, seconds, **trouble)`."""
-
-    def write(name: str = "flight", seconds: int = 20, **trouble: object) -> Path:
-        path = tmp_path / f"{name}.tlog"
-        tlog.write_log(path, frames(seconds, **trouble))  # type: ignore[arg-type]
-        return path
-
-    return write
+    return partial(write_flight, tmp_path)

@@ -35,6 +35,14 @@ class Opened:
         self.page.on("console", self._console)
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("request", lambda request: self.requests.append(request.url))
+        self.open(path)
+
+    def open(self, path: Path) -> None:
+        """Open a report anew."""
+        self.page.goto("about:blank")  # or an address that differs by its hash would not load
+        self.errors.clear()
+        self.requests.clear()
+        self.page.emulate_media(color_scheme="light")
         self.page.goto(path.as_uri())
         self.page.wait_for_selector("html[data-ready=yes]", state="attached")
 
@@ -43,17 +51,28 @@ class Opened:
             self.errors.append(message.text)
 
 
-@pytest.fixture
-def opened(browser: Any, flight: Flight, tmp_path: Path) -> Iterator[Opened]:
-    labels = tmp_path / "labels.jsonl"
-    labels.write_text(
+@pytest.fixture(scope="module")
+def report(
+    browser: Any, flight_in: Flight, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[tuple[Opened, Path]]:
+    """A report of a flight whose position jumps, open in the one page of these tests."""
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "labels.jsonl").write_text(
         '{"id":"j","fault":"bias","t0_us":1000000,"start_us":11000000,"end_us":16000000}\n'
     )
-    out = tmp_path / "out"
-    main(["report", str(flight(jump_at_s=10.0)), "--labels", str(labels), "--out", str(out)])
-    found = Opened(browser, out / "report.html")
-    yield found
+    log = str(flight_in(folder, jump_at_s=10.0))
+    labels = ["--labels", str(folder / "labels.jsonl")]
+    main(["report", log, *labels, "--out", str(folder / "out")])
+    found = Opened(browser, folder / "out" / "report.html")
+    yield found, folder / "out" / "report.html"
     found.page.close()
+
+
+@pytest.fixture
+def opened(report: tuple[Opened, Path]) -> Opened:
+    found, path = report
+    found.open(path)
+    return found
 
 
 def test_nobody_is_kept_from_a_report(
