@@ -57,15 +57,22 @@ def errors(samples: list[Sample], found: list[Decision]) -> np.ndarray:
     return np.array(out)
 
 
-def test_a_clean_flight_raises_no_alarm_and_finds_the_attitude(flight):
-    found = decisions(flight)
-    assert not any(decision.alarm for decision in found)
-    assert found[-1].mode == "inertial"
-    assert errors(flight, found).max() < 2.5  # coloured errors of 0.6 m, PDOP below 2
+@pytest.fixture(scope="module")
+def clean(flight) -> list[Decision]:
+    """The decisions of the flight without a fault."""
+    return decisions(flight)
+
+
+def test_a_clean_flight_raises_no_alarm_and_finds_the_attitude(flight, clean):
+    assert not any(decision.alarm for decision in clean)
+    assert clean[-1].mode == "inertial"
+    assert errors(flight, clean).max() < 2.5  # coloured errors of 0.6 m, PDOP below 2
 
 
 @pytest.mark.parametrize("size_m", [20.0, -50.0])
-def test_a_step_on_one_satellite_is_isolated_at_once_and_the_position_stays(flight, size_m: float):
+def test_a_step_on_one_satellite_is_isolated_at_once_and_the_position_stays(
+    flight, clean, size_m: float
+):
     name = satellites(flight)[3]
     changed = with_ranges(flight, {name: lambda t: size_m})
     found = decisions(changed)
@@ -74,8 +81,8 @@ def test_a_step_on_one_satellite_is_isolated_at_once_and_the_position_stays(flig
     assert alarms[0].hypothesis == "satellites"
     assert alarms[0].excluded == (name,)
     assert all(decision.excluded in ((), (name,)) for decision in found)
-    clean = errors(flight, decisions(flight))
-    assert np.sqrt((errors(changed, found) ** 2).mean()) < 1.3 * np.sqrt((clean**2).mean())
+    healthy = errors(flight, clean)
+    assert np.sqrt((errors(changed, found) ** 2).mean()) < 1.3 * np.sqrt((healthy**2).mean())
 
 
 def test_a_satellite_is_readmitted_after_it_has_been_healthy(flight):
@@ -92,7 +99,7 @@ def test_two_satellites_at_once_are_both_found(flight):
     assert next(d for d in found if d.alarm).excluded == tuple(sorted((one, two)))
 
 
-def test_a_slow_ramp_is_isolated_before_eight_metres_and_repaired(flight):
+def test_a_slow_ramp_is_isolated_before_eight_metres_and_repaired(flight, clean):
     name = satellites(flight)[2]
     changed = with_ranges(flight, {name: lambda t: 0.5 * t})
     found = decisions(changed)
@@ -101,8 +108,8 @@ def test_a_slow_ramp_is_isolated_before_eight_metres_and_repaired(flight):
     assert 0.5 * (first.t_s - FROM_S) < 8.0
     assert first.onset_us is not None
     assert first.onset_us < first.t_us
-    clean = errors(flight, decisions(flight))
-    assert np.sqrt((errors(changed, found) ** 2).mean()) < 1.3 * np.sqrt((clean**2).mean())
+    healthy = errors(flight, clean)
+    assert np.sqrt((errors(changed, found) ** 2).mean()) < 1.3 * np.sqrt((healthy**2).mean())
 
 
 def test_for_five_faulty_satellites_the_imu_is_not_isolated(flight):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -71,9 +72,17 @@ def flown(
 
 def sent(vehicle: str, duration_s: float, *faults: dict[str, Any], seed: int = 1) -> bytes:
     """What the monitor hears of such a flight."""
+    return _fly(vehicle, duration_s, json.dumps(faults), seed)
+
+
+@functools.cache
+def _fly(vehicle: str, duration_s: float, faults: str, seed: int) -> bytes:
+    """Fly once for all tests that watch the same flight."""
     setup = setup_of(vehicle)
     scenario = msgspec.structs.replace(setup.scenario, seed=seed, duration_s=duration_s)
-    entries = [{"id": f"fault-{i}", "at_s": 20.0, **fault} for i, fault in enumerate(faults)]
+    entries = [
+        {"id": f"fault-{i}", "at_s": 20.0, **fault} for i, fault in enumerate(json.loads(faults))
+    ]
     flight = ProxiedFlight(
         scenario, parse_schedule({"seed": seed, "faults": entries}, via="simulator")
     )
