@@ -180,12 +180,12 @@ class CampaignPlan:
                 yield [cell_at(series, magnitude, subject) for subject in group]
 
     def _drawn(self, flights: Iterator[SizedSeries]) -> Iterable[SizedSeries]:
-        """Draw the sample, in its order, so that all subjects have the same flights."""
+        """Draw the sample, the same for all subjects; the first flights of one are a sample too."""
         if self._sample is None:
             return flights
         listed = list(flights)
         count = min(self._sample, len(listed))
-        return (listed[i] for i in sorted(Random(1).sample(range(len(listed)), count)))
+        return (listed[i] for i in Random(1).sample(range(len(listed)), count))
 
     def _compiled(self, known: KnownResults) -> Iterator[JobSequence]:
         """Yield compiled batches of cells that differ in magnitude, onset and duration."""
