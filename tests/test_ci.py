@@ -117,6 +117,15 @@ def test_the_jobs_to_copy_give_the_action_what_it_takes() -> None:
     build_parser("campaign").parse_args(lab["script"][-1].split()[1:])
 
 
+def test_the_page_names_every_file_that_the_jobs_need() -> None:
+    campaign = ROOT / "examples" / "ci" / "campaign.yaml"
+    page = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
+    for scenario in yaml.safe_load(campaign.read_text())["scenarios"]:
+        path = (campaign.parent / scenario).resolve().relative_to(ROOT)
+        assert f"](../{path})" in page
+    assert f"](../{campaign.relative_to(ROOT)})" in page
+
+
 def test_the_action_installs_its_own_checkout(tmp_path: Path) -> None:
     step = next(step for step in ACTION["runs"]["steps"] if step["name"] == "Install")
     script = step["run"].replace("${{ inputs.python }}", str(tmp_path / "python"))
