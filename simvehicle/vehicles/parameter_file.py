@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import msgspec
 
@@ -105,7 +105,8 @@ def read_parameters(name: str | Path, kind: type[T]) -> T:
         If there is no such set or file, or its content is invalid.
     """
     path = parameter_path(name)
-    return cast(T, _parameters_at(path, _changed_ns(path), kind))
+    found: T = _parameters_at(path, _changed_ns(path), cast(Any, kind))
+    return found
 
 
 def parameter_document(name: str | Path) -> Document:
@@ -121,7 +122,7 @@ def _changed_ns(path: Path) -> int:
 
 # Kept, as a third of the time of a search's flight would go to them.
 @lru_cache(maxsize=8)
-def _parameters_at(path: Path, changed_ns: int, kind: type) -> object:
+def _parameters_at(path: Path, changed_ns: int, kind: type[Any]) -> Any:
     return decode(_document_at(path, changed_ns), kind)
 
 
