@@ -51,50 +51,59 @@ class SampledFlight(NamedTuple):
     limit: int
 
 
+# The truth, the samples' rows (m, HEAD + WIDTH): kind, stamp and values, and counts (4,): the rows
+# in use of both, the number of fixes, and the limit that is violated.
+Room = tuple[Array, Array, Indices]
+
+
 @compiled
 def record_steps(
-    flight: Records, sensors: Records, packed: Array, until_us: int, fix_hz: float,
-    limits: Array, truth: Array, rows: Array, counts: Indices,
+    flight: Records, sensors: Records, packed: Array, until_us: int, fix_hz: float, limits: Array,
+    room: Room,
 ) -> bool:  # fmt: skip
-    """Fly steps with constant controls until a time, the limits of `violated_limit`, or the end of
-    the random draws, and append their truth and samples; kinds of sensors and of rows are equal.
-
-    `rows` (m, HEAD + WIDTH) are kind, stamp and values; those of a GPS fix are what it measures.
-    `counts` (4,) are the rows in use of `truth` and `rows`, the number of fixes, and the limit that
-    is violated. Returns False if the state has diverged.
-    """
-    f = flight[0]
+    """Fly and record steps with constant controls until a time, the limits of `violated_limit`, or
+    the end of the random draws; False if the state has diverged."""
+    f, (truth, _, counts) = flight[0], room
     while f.t_us < until_us and not f.used_up and not counts[LIMIT]:
         if not step(flight, sensors, packed):
             return False
-        n, m = counts[0], counts[1]
-        truth[n, :RIGID_SIZE] = f.x[:RIGID_SIZE]
-        truth[n, AIR:FORCE] = f.here[AIR_VELOCITY : AIR_VELOCITY + 3]
-        truth[n, FORCE:HEIGHT] = f.load[:3]
-        truth[n, HEIGHT] = f.agl_m
-        truth[n, PLACE:] = f.here[:3]
-        for at in range(sensors.shape[0]):
-            if sensors[at].fresh:
-                values, seen = rows[m, HEAD:], sensors[at].values
-                rows[m, 0], rows[m, 1] = sensors[at].kind, f.t_us
-                values[:6] = seen
-                if sensors[at].kind == IMU:  # has the specific force first
-                    values[RATES:FORCE_ROW], values[FORCE_ROW:IMU_ID] = seen[3:], seen[:3]
-                m += 1
-        if f.t_us >= (counts[2] + 1) * 1e6 / fix_hz:
-            values = rows[m, HEAD:]
-            rows[m, 0], rows[m, 1] = FIX, f.t_us
-            values[:3], values[3] = f.here[:3], f.here[2] - f.home[GEOID]
-            values[4:7] = f.here[VELOCITY : VELOCITY + 3]
-            counts[2] += 1
-            m += 1
-        counts[0], counts[1] = n + 1, m
+        row = truth[counts[0]]
+        row[:RIGID_SIZE] = f.x[:RIGID_SIZE]
+        row[AIR:FORCE] = f.here[AIR_VELOCITY:LOCAL_GRAVITY]
+        row[FORCE:HEIGHT] = f.load[:3]
+        row[HEIGHT] = f.agl_m
+        row[PLACE:] = f.here[:3]
+        counts[0] += 1
+        record_samples(flight, sensors, fix_hz, room)
         # The first sample beyond is the last one that counts.
         counts[LIMIT] = violated_limit(
-            f.x[E0:P], f.here[AIR_VELOCITY:LOCAL_GRAVITY], f.x[P:RIGID_SIZE], f.load[:3], f.agl_m,
-            limits,
-        )  # fmt: skip
+            row[E0:P], row[AIR:FORCE], row[P:RIGID_SIZE], row[FORCE:HEIGHT], f.agl_m, limits
+        )
     return True
+
+
+@compiled
+def record_samples(flight: Records, sensors: Records, fix_hz: float, room: Room) -> None:
+    """Append the samples of a step, whose kinds are those of sensors, and of a GPS what it
+    measures: position [rad, m], height above sea level, velocity."""
+    f, (_, rows, counts) = flight[0], room
+    m = counts[1]
+    for at in range(sensors.shape[0]):
+        if sensors[at].fresh:
+            values, seen = rows[m, HEAD:], sensors[at].values
+            rows[m, 0], rows[m, 1] = sensors[at].kind, f.t_us
+            values[:6] = seen
+            if sensors[at].kind == IMU:  # has the specific force first
+                values[RATES:FORCE_ROW], values[FORCE_ROW:IMU_ID] = seen[3:], seen[:3]
+            m += 1
+    if f.t_us >= (counts[2] + 1) * 1e6 / fix_hz:
+        values = rows[m, HEAD:]
+        rows[m, 0], rows[m, 1] = FIX, f.t_us
+        values[:3], values[3] = f.here[:3], f.here[2] - f.home[GEOID]
+        values[4:7] = f.here[VELOCITY : VELOCITY + 3]
+        counts[2] += 1
+        m += 1
+    counts[1] = m
 
 
 @lru_cache(maxsize=8)  # cells of a campaign and reduced faults share a flight
@@ -110,14 +119,13 @@ def fly_sampled(document: bytes, envelope: FlightEnvelope, hovers: bool) -> Samp
     truth, counts = np.empty((steps, TRUTH_SIZE)), np.zeros(4, np.int64)
     rows = np.zeros((steps * (len(sensors) + 1), HEAD + WIDTH))
     limits, fix_hz, finite = pack_envelope(envelope, hovers), gps.sensor.rate_hz, True
+    room = (truth, rows, counts)
     while finite and not counts[LIMIT] and now["t_us"] < end_us:
         commands = simulation.commanded()
         now["controls"][: len(commands)] = commands
         simulation.prepare()
         until_us = end_us if plan.weave is None else now["t_us"] + 1
-        finite = record_steps(
-            flight, sensors, packed, until_us, fix_hz, limits, truth, rows, counts
-        )
+        finite = record_steps(flight, sensors, packed, until_us, fix_hz, limits, room)
         if finite and plan.weave is not None:
             simulation.observe()
     rows = rows[: counts[1]]
