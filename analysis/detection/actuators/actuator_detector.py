@@ -12,6 +12,7 @@ from analysis.detection.actuators.actuator_hypotheses import (
 )
 from analysis.detection.actuators.actuator_response import (
     BY_FIRST_FIX,
+    ELEVATOR,
     FLYING_SPEED_MPS,
     ActuatorResponse,
     ActuatorVerdict,
@@ -23,8 +24,6 @@ from analysis.detection.actuators.motion_filter import initial_motion_model
 from analysis.detection.detector_registry import BlockDetector, RowResults
 from analysis.results import OR_SEPARATOR, SensorDecision
 from analysis.samples.block import COMMAND, Block
-
-ELEVATOR = "elevator"  # only vehicles with wings have one
 
 
 class ActuatorDetector(BlockDetector, frozen=True):

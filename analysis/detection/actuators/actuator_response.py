@@ -56,6 +56,7 @@ SLIGHT_DEFICIT, SLIGHT_BINS = 0.15, 8
 REPEAT_ISOLATED_BINS, REPEAT_NOMINAL_BINS = 5, 10  # bins between two results
 # chosen: above the errors of a receiver's height and speed; below REST_SPEED_MPS it stands
 FLYING_HEIGHT_M, FLYING_SPEED_MPS, REST_SPEED_MPS = 3.0, 3.0, 0.5
+ELEVATOR = "elevator"  # only vehicles with wings have one
 BY_FIRST_FIX = -1.0  # the first fix decides
 ALT, VELOCITY = 2, slice(3, 6)  # columns of a fix
 GAP_US = 500_000  # without an IMU sample the motion begins anew
@@ -102,7 +103,6 @@ class ActuatorResponse:
     interval_us: float = math.nan
     command_us: int = -FOREVER_US
     from_ground: bool = False  # its motors stood still at the first command
-    rose: bool = False  # it has been above the height of its first fix
     flies: bool = False
     crash_us: int = FOREVER_US
     irregular_left: int = 0  # bins left to skip
@@ -175,7 +175,8 @@ class ActuatorResponse:
         source, outputs = int(values[COMMAND_SOURCE]), values[:COMMANDS]
         if not self.source and (source == CONTROLS or self.effects.unknown):
             self.source = source
-            self.from_ground = source == CONTROLS and not outputs.any()
+            wings = ELEVATOR in self.effects.names  # theirs is decided by the first fix
+            self.from_ground = source == CONTROLS and not wings and not outputs.any()
         if source != self.source or not (np.abs(outputs) <= MOST_COMMAND).all():
             return None
         self._compare_lag(self.bins.sample_us - t_us)
@@ -231,13 +232,14 @@ class ActuatorResponse:
             if self.ground_mps == BY_FIRST_FIX:
                 self.ground_mps = math.inf if speed < REST_SPEED_MPS else FLYING_SPEED_MPS
         up = bool(abs(fix[ALT] - self.first_alt_m) > FLYING_HEIGHT_M)
-        self.rose |= up
+        if up and self.from_ground:
+            self.ground_mps = math.inf
         if not self.flies and (up or speed > FLYING_SPEED_MPS):
             self.flies, self.crash_us = True, FOREVER_US
             self._begin_flight()
         elif self.flies and not up and speed < REST_SPEED_MPS:
             self.flies, self.isolated = False, NO_HYPOTHESES
-        elif not up and (speed < self.ground_mps or (self.from_ground and self.rose)):
+        elif not up and speed < self.ground_mps:
             self.irregular_left = IRREGULAR_BINS
 
     def _is_off(self) -> bool:
