@@ -112,8 +112,10 @@ def values_of(
     `constants` are parameters, and values of fields that some versions lack.
     """
     found = evaluate(line.value, columns, constants)
-    # A field that is never filled counts as missing.
-    return None if found is None or not np.isfinite(found).any() else np.asarray(found, float)
+    # A field that is never filled counts as missing, and so does a text, by a damaged format.
+    if found is None or not _is_numeric(found) or not np.isfinite(found).any():
+        return None
+    return np.asarray(found, float)
 
 
 def rows_of(
@@ -124,9 +126,15 @@ def rows_of(
     if found is None:
         return None
     parts = found if isinstance(found, tuple) else (found,)
+    if not all(map(_is_numeric, parts)):
+        return None
     count = next(iter(columns.values())).shape[0]
     wide = [np.atleast_2d(np.broadcast_to(part, (*np.shape(part)[:-1], count))) for part in parts]
     return np.concatenate(wide).astype(float).T
+
+
+def _is_numeric(found: Any) -> bool:
+    return np.asarray(found).dtype.kind in "biuf"
 
 
 def evaluate(value: CodeType, columns: Columns, constants: Mapping[str, float] = NOTHING) -> Any:

@@ -48,3 +48,11 @@ def test_every_line_is_of_a_panel_or_of_another_known_kind(table) -> None:
     for line in (line for lines in table.values() for line in lines):
         kind = line.target.partition("#")[0]
         assert kind in (*BY_KEY, *FLAGS, *STATES, TRACK, *KINDS, "VISION", "TRUTH"), line
+
+
+def test_a_field_that_a_damaged_format_makes_a_text_is_missing() -> None:
+    (line,) = read_map("A\n  roll  a  X\n")["A"]
+    columns = {"X": np.array([b"12", b"x"]), "Y": np.array([1.0, 2.0])}
+    assert values_of(line, columns) is None
+    (track,) = read_map("A\n  track  a  Y, X, Y\n")["A"]
+    assert rows_of(track, columns) is None
