@@ -12,9 +12,11 @@ import msgspec
 from analysis.campaign.campaign_file import CampaignFile, CompiledScenario
 from analysis.campaign.cell import Cell, CellResult
 from analysis.campaign.outcomes import outcome_of
-from analysis.search.evaluation.compiled_score import score_compiled
+from analysis.search.evaluation.compiled_flight import sampled_flight
+from analysis.search.evaluation.compiled_score import estimate_flight, score_estimated
 from analysis.search.evaluation.envelope import LIMITS
 from analysis.search.evaluation.evaluator import Evaluator
+from analysis.search.space.point_scenario import document_of
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -32,14 +34,16 @@ def run_compiled(campaign: CampaignFile, cells: Sequence[Cell]) -> list[CellResu
     test = compiled_test_file(campaign, cells[0])
     healthy = {name: float(value) for name, value in Evaluator(test).space.fixed.items()}
     # A fault of no duration is absent.
-    reference = score_compiled(test, healthy | {"faults[0].for_s": 0.0}, cells[0].seed)
+    absent, seed = healthy | {"faults[0].for_s": 0.0}, cells[0].seed
+    flight = sampled_flight(test, document_of(test, absent, seed))
+    reference = score_estimated(test, estimate_flight(test, flight, absent, seed))
     results = []
     for cell in cells:
         started_s = time.monotonic()
         values = healthy | {"faults[0].at_s": float(cell.onset), "faults[0].for_s": cell.duration_s}
         if cell.magnitude is not None:
             values["faults[0].value"] = cell.magnitude
-        scores = score_compiled(test, values, cell.seed)
+        scores = score_estimated(test, estimate_flight(test, flight, values, seed))
         beyond_deg = float(scores.largest_deg[ANGLE_COLUMN] - reference.largest_deg[ANGLE_COLUMN])
         limit = LIMITS[scores.broken_limit]
         results.append(

@@ -5,6 +5,7 @@ Steps between samples of sensors in Python are one compiled loop. Truth and samp
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -43,12 +44,14 @@ GPS_SOURCE = SOURCES.index("HIL_GPS")
 class SampledFlight(NamedTuple):
     """A flight as far as it is within the envelope, and the sample at which a `limit` ended it.
 
-    `truth` (n, TRUTH_SIZE) at its n IMU samples, and all samples in order.
+    `truth` (n, TRUTH_SIZE) at its n IMU samples, all samples in order, and the truth at the first
+    of them as `prior`, without declination.
     """
 
     truth: Array
     samples: Block
     limit: int
+    prior: Prior
 
 
 # The truth, the samples' rows (m, HEAD + WIDTH): kind, stamp and values, and counts (4,): the rows
@@ -132,7 +135,8 @@ def fly_sampled(document: bytes, envelope: FlightEnvelope, hovers: bool) -> Samp
     _measure_fixes(gps, rows)
     kind, t_us = rows[:, :HEAD].T.astype(np.int64)
     samples = Block(kind, t_us, rows[:, HEAD:].copy(), {})
-    return SampledFlight(truth[: counts[0]], samples, int(counts[LIMIT]))
+    truth = truth[: counts[0]]
+    return SampledFlight(truth, samples, int(counts[LIMIT]), start_of(truth, samples))
 
 
 def _measure_fixes(gps: OnboardSensor, rows: Array) -> None:
@@ -156,22 +160,21 @@ def sampled_flight(test: TestFile, document: Mapping[str, Any]) -> SampledFlight
 
 
 def estimate_attitude(
-    truth: Array, samples: Block, name: str, declination_rad: float
+    flight: SampledFlight, name: str, declination_rad: float
 ) -> tuple[Array, Array]:
     """The attitude (n, 4) of an estimator at the IMU samples, started at the truth, and its errors
     (n, 4): roll, pitch, yaw and the angle [rad]."""
     estimator = make_estimator(name)
-    _, q_nb, _ = estimate_block(
-        estimator, samples, estimator.start(start_of(truth, samples, declination_rad))
-    )
-    return q_nb, error_rows(q_nb, truth[:, 6:10])
+    prior = replace(flight.prior, declination_rad=declination_rad)
+    _, q_nb, _ = estimate_block(estimator, flight.samples, estimator.start(prior))
+    return q_nb, error_rows(q_nb, flight.truth[:, 6:10])
 
 
-def start_of(truth: Array, samples: Block, declination_rad: float) -> Prior:
+def start_of(truth: Array, samples: Block) -> Prior:
     """The truth at the first sample."""
     r_ned_m, v_b_mps, q_nb = np.split(truth[0, :10], [3, 6])
     velocity = matrix_from_quat(q_nb) @ v_b_mps
-    return Prior(int(samples.t_us[0]), q_nb, velocity, r_ned_m, declination_rad)
+    return Prior(int(samples.t_us[0]), q_nb, velocity, r_ned_m)
 
 
 @compiled
@@ -184,18 +187,13 @@ def error_rows(q_nb: Array, truth: Array) -> Array:
     return out
 
 
-def dead_reckoning(truth: Array, samples: Block) -> Array:
+def dead_reckoning(prior: Prior, samples: Block) -> Array:
     """The inverse model's nine states (n, 9) at the IMU samples."""
     estimator = make_estimator("inverse-model")
-    state: Any = estimator.start(start_of(truth, samples, 0.0))
+    state: Any = estimator.start(prior)
     imu = samples.where(samples.kind == IMU)
-    nine = np.empty((len(truth), BEFORE - NINE))
+    nine = np.empty((len(imu.kind), BEFORE - NINE))
     for row in range(len(imu.kind)):
         _, _, state = estimate_block(estimator, imu.between(row, row + 1), state)
         nine[row] = state.x[NINE:BEFORE]
     return nine
-
-
-def imu_rows(samples: Block) -> Array:
-    """Rates and specific force (n, 6) of the IMU samples."""
-    return samples.values[samples.kind == IMU, :IMU_ID]

@@ -6,15 +6,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.samples.block import AIRSPEED, BARO, FIX, IMU, Block, Stamps
+from analysis.estimators import Prior
+from analysis.samples.block import AIRSPEED, BARO, FIX, IMU, IMU_ID, Block, Stamps
 from analysis.scoring.attitude_scores import ErrorBins, flight_phases, score_breakdown
 from analysis.search.evaluation.compiled_flight import (
     AIR,
     FORCE,
     PLACE,
+    SampledFlight,
     dead_reckoning,
     estimate_attitude,
-    imu_rows,
     sampled_flight,
 )
 from analysis.search.evaluation.flight_scores import FlightScores
@@ -37,33 +38,47 @@ STATES = (
 class EstimatedFlight(NamedTuple):
     """A compiled flight, as far as it is within the envelope, with an estimator's attitude.
 
-    Stamps `t_us` (n,), `truth` (n, TRUTH_SIZE) and `imu` (n, 6) at the IMU samples; `q_nb` (n, 4)
-    and `error_rad` (n, 4) of the estimate; all `samples`, with faults; the `limit` that ended it.
+    Stamps `t_us` (n,) and `truth` (n, TRUTH_SIZE) at the IMU samples; `q_nb` (n, 4) and `error_rad`
+    (n, 4) of the estimate; all `samples`, with faults; the `limit` that ended it; its `prior`.
     """
 
     t_us: Stamps
     truth: Array
-    imu: Array
     q_nb: Array
     error_rad: Array
     samples: Block
     limit: int
+    prior: Prior
 
     @property
     def t_s(self) -> Array:
         """Times (n,) since the start."""
         return np.asarray(self.t_us * 1e-6)
 
+    @property
+    def imu(self) -> Array:
+        """Rates and specific force (n, 6) of the IMU samples."""
+        return self.samples.values[self.samples.kind == IMU, :IMU_ID]
+
 
 def fly_estimated(test: TestFile, values: Mapping[str, float], seed: int) -> EstimatedFlight:
     """Fly the values of a compiled test; `seed` is the simulator's."""
-    truth, samples, limit = sampled_flight(test, document_of(test, values, seed))
-    t_us = samples.t_us[samples.kind == IMU]
-    samples = break_samples(samples, faults_of(test, values), seed)
-    q_nb, error = estimate_attitude(
-        truth, samples, test.estimator, float(np.radians(test.declination_deg))
+    return estimate_flight(
+        test, sampled_flight(test, document_of(test, values, seed)), values, seed
     )
-    return EstimatedFlight(t_us, truth, imu_rows(samples), q_nb, error, samples, limit)
+
+
+def estimate_flight(
+    test: TestFile, flight: SampledFlight, values: Mapping[str, float], seed: int
+) -> EstimatedFlight:
+    """Run the estimator on the samples of a flight with the faults of these values."""
+    truth, samples, limit, _ = flight
+    t_us = samples.t_us[samples.kind == IMU]
+    broken = break_samples(samples, faults_of(test, values), seed)
+    q_nb, error = estimate_attitude(
+        flight._replace(samples=broken), test.estimator, float(np.radians(test.declination_deg))
+    )
+    return EstimatedFlight(t_us, truth, q_nb, error, broken, limit, flight.prior)
 
 
 def score_compiled(
@@ -123,7 +138,7 @@ def error_bins(flight: EstimatedFlight) -> ErrorBins:
 
 def state_rmse(flight: EstimatedFlight) -> Array:
     """RMSE (12,) of the inverse model in the units of STATES; its rates are the gyro's."""
-    nine, truth = dead_reckoning(flight.truth, flight.samples), flight.truth
+    nine, truth = dead_reckoning(flight.prior, flight.samples), flight.truth
     angle = nine[:, :3] - euler_from_quat(truth[:, 6:10])
     error = np.column_stack(
         [
