@@ -17,17 +17,14 @@ if (printed) {
 const token = sessionStorage.getItem("token") || "";
 
 // While a button is held down nothing on the page moves: a click that ends beside its button is lost.
-const LONGEST_PRESS_MS = 2000;
-let pressed = false, released = Promise.resolve();
+let pressed = false, released = Promise.resolve(), release = () => {};
 addEventListener("pointerdown", (event) => {
-  if (pressed || !event.target.closest("button, summary, label, a")) return;
+  if (event.button || !event.target.closest("button, summary, label, a")) return;
   pressed = true;
-  released = new Promise((resolve) => {
-    const end = () => setTimeout(() => { pressed = false; resolve(); }); // after the click
-    for (const type of ["pointerup", "pointercancel"]) addEventListener(type, end, { once: true, capture: true });
-    setTimeout(end, LONGEST_PRESS_MS);
-  });
+  released = new Promise((resolve) => { release = resolve; });
 }, true);
+for (const type of ["pointerup", "pointercancel"])
+  addEventListener(type, () => setTimeout(() => { pressed = false; release(); }), true); // after the click
 
 async function post(path, body = "") {
   let reply;
