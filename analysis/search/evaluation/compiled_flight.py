@@ -14,8 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.estimators import Prior, estimate_block, make_estimator
-from analysis.estimators.inverse_model import BEFORE, NINE
-from analysis.samples.block import FIX, FIX_3D, IMU, IMU_ID, RATES, SOURCES, WIDTH, Block, Indices
+from analysis.estimators.estimator import KernelState
+from analysis.estimators.inverse_model import BEFORE, NINE, InverseModel, integrate_block
+from analysis.samples.block import (
+    FIX,
+    FIX_3D,
+    IMU,
+    IMU_ID,
+    RATES,
+    SOURCES,
+    WIDTH,
+    Block,
+    Indices,
+    Stamps,
+)
 from analysis.samples.block import FORCE as FORCE_ROW
 from analysis.search.evaluation.envelope import pack_envelope, violated_limit
 from analysis.search.space.airframe import has_rotors
@@ -189,11 +201,16 @@ def error_rows(q_nb: Array, truth: Array) -> Array:
 
 def dead_reckoning(prior: Prior, samples: Block) -> Array:
     """The inverse model's nine states (n, 9) at the IMU samples."""
-    estimator = make_estimator("inverse-model")
-    state: Any = estimator.start(prior)
     imu = samples.where(samples.kind == IMU)
-    nine = np.empty((len(imu.kind), BEFORE - NINE))
-    for row in range(len(imu.kind)):
-        _, _, state = estimate_block(estimator, imu.between(row, row + 1), state)
-        nine[row] = state.x[NINE:BEFORE]
+    return nine_states(imu.kind, imu.t_us, imu.values, InverseModel().start(prior))
+
+
+@compiled
+def nine_states(kind: Indices, t_us: Stamps, values: Array, state: KernelState) -> Array:
+    """The nine states (n, 9) of the inverse model after each of n IMU samples of a block."""
+    nine = np.empty((len(kind), BEFORE - NINE))
+    for i in range(len(kind)):
+        end = i + 1
+        _, _, state = integrate_block(kind[i:end], t_us[i:end], values[i:end], state, None)
+        nine[i] = state.x[NINE:BEFORE]
     return nine
