@@ -33,16 +33,26 @@ from analysis.search.evaluation.envelope import pack_envelope, violated_limit
 from analysis.search.space.airframe import has_rotors
 from analysis.search.space.test_file import FlightEnvelope, TestFile
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
 from mavproxy_fault.numerics.rotations.rotation_kernel import attitude_errors
-from simvehicle.environment.geolocation import AIR_VELOCITY, GEOID, LOCAL_GRAVITY, VELOCITY
+from simvehicle.environment.geolocation import AIR as LOCAL_AIR
+from simvehicle.environment.geolocation import (
+    AIR_VELOCITY,
+    ATTITUDE,
+    GEOID,
+    LOCAL_GRAVITY,
+    VELOCITY,
+)
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.sensors.error_model import BLOCK
 from simvehicle.sensors.flight_record import Records
 from simvehicle.simulation.onboard_sensors import OnboardSensor
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.simulation.step_kernel import step
-from simvehicle.vehicles.rigidbody_kernel import E0, RIGID_SIZE, P
+from simvehicle.vehicles.fixedwing.weave_kernel import weave_controls
+from simvehicle.vehicles.multirotor.sway_kernel import sway_commands
+from simvehicle.vehicles.rigidbody_kernel import DOWN, E0, RIGID_SIZE, P
 
 Array = NDArray[np.float64]
 # Columns of the truth, after the rigid body's state: velocity through the air (body axes), specific
@@ -73,13 +83,15 @@ Room = tuple[Array, Array, Indices]
 
 @compiled
 def record_steps(
-    flight: Records, sensors: Records, packed: Array, until_us: int, fix_hz: float, limits: Array,
-    room: Room,
+    flight: Records, sensors: Records, packed: Array, plan: Array, end_us: int, fix_hz: float,
+    limits: Array, room: Room,
 ) -> bool:  # fmt: skip
-    """Fly and record steps with constant controls until a time, the limits of `violated_limit`, or
-    the end of the random draws; False if the state has diverged."""
+    """Fly and record steps until a time, the limits of `violated_limit`, or the end of the random
+    draws; controls are constant without a `plan`. False if the state has diverged."""
     f, (truth, _, counts) = flight[0], room
-    while f.t_us < until_us and not f.used_up and not counts[LIMIT]:
+    while f.t_us < end_us and not f.used_up and not counts[LIMIT]:
+        if len(plan):
+            steer(flight, plan)
         if not step(flight, sensors, packed):
             return False
         row = truth[counts[0]]
@@ -95,6 +107,20 @@ def record_steps(
             row[E0:P], row[AIR:FORCE], row[P:RIGID_SIZE], row[FORCE:HEIGHT], f.agl_m, limits
         )
     return True
+
+
+@compiled
+def steer(flight: Records, plan: Array) -> None:
+    """Set the controls of the next step by the plan of `weave_controls` or `sway_commands`."""
+    f = flight[0]
+    here, t_s, rates, controls = f.here, f.t_us * 1e-6, f.x[P:RIGID_SIZE], f.controls[:4]
+    attitude, air = here[ATTITUDE:AIR_VELOCITY], here[AIR_VELOCITY:LOCAL_GRAVITY]
+    if f.wing:
+        weave_controls(t_s, attitude, rates, air, plan, controls)
+    else:
+        ratio = here[LOCAL_AIR + 2] / SEA_LEVEL_DENSITY_KGPM3
+        climb_mps = -here[VELOCITY + 2]
+        sway_commands(t_s, attitude, rates, -f.x[DOWN], climb_mps, ratio, plan, controls)
 
 
 @compiled
@@ -127,22 +153,19 @@ def fly_sampled(document: bytes, envelope: FlightEnvelope, hovers: bool) -> Samp
     scenario = msgspec.json.decode(document, type=Scenario)
     simulation, end_us = Simulation(scenario), round(scenario.duration_s * 1e6)
     flight, sensors = simulation.board
-    packed, plan, (gps,) = simulation.packed, scenario.controls, simulation.onboard_sensors
+    packed, (gps,) = simulation.packed, simulation.onboard_sensors
     assert packed is not None
-    assert plan is not None
+    controller: Any = simulation.controller
     now, steps = flight[0], int(scenario.duration_s * float(flight[0]["rate_hz"])) + 2
     truth, counts = np.empty((steps, TRUTH_SIZE)), np.zeros(4, np.int64)
     rows = np.zeros((steps * (len(sensors) + 1), HEAD + WIDTH))
     limits, fix_hz, finite = pack_envelope(envelope, hovers), gps.sensor.rate_hz, True
     room = (truth, rows, counts)
+    commands, plan = simulation.commanded(), controller.plan
+    now["controls"][: len(commands)] = commands
     while finite and not counts[LIMIT] and now["t_us"] < end_us:
-        commands = simulation.commanded()
-        now["controls"][: len(commands)] = commands
         simulation.prepare()
-        until_us = end_us if plan.weave is None else now["t_us"] + 1
-        finite = record_steps(flight, sensors, packed, until_us, fix_hz, limits, room)
-        if finite and plan.weave is not None:
-            simulation.observe()
+        finite = record_steps(flight, sensors, packed, plan, end_us, fix_hz, limits, room)
     rows = rows[: counts[1]]
     _measure_fixes(gps, rows)
     kind, t_us = rows[:, :HEAD].T.astype(np.int64)

@@ -1,56 +1,67 @@
-"""A fixed wing that rolls from side to side at constant pitch and airspeed: a scalar kernel.
+"""A fixed wing that rolls from side to side at constant pitch and airspeed.
 
 Proportional feedback of the true attitude is added to open-loop controls, so that long flights stay
-within the envelope. The simulator calls it for one vehicle, the worst-case search for many.
+within the envelope.
 """
 
-from math import pi
-from typing import NamedTuple
+from math import pi, sqrt
 
-from mavproxy_fault.numerics.compile import inlined
-from mavproxy_fault.numerics.polynomial import sin_cos
+from mavproxy_fault.numerics.arrays import Array
+from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.polynomial import fma, sin_cos
+from mavproxy_fault.numerics.rotations.rotation_kernel import euler_of_quaternion
 
 # Elevator and aileron per rad and per rad/s, throttle per m/s: bandwidths of pitch and roll of
 # about 6 rad/s for the Aerosonde at 35 m/s.
 PITCH_GAIN, PITCH_RATE_GAIN, ROLL_GAIN, ROLL_RATE_GAIN, SPEED_GAIN = 1.0, 0.1, 0.3, 0.05, 0.05
 DEFLECTION_LIMIT_RAD = 0.4  # of the feedback alone; chosen
-
-Four = tuple[float, float, float, float]
-
-
-class WeaveFeedback(NamedTuple):
-    """Feedback: roll, pitch [rad], body rates p, q [rad/s] and airspeed."""
-
-    roll: float
-    pitch: float
-    p: float
-    q: float
-    airspeed_mps: float
+# Starts in a plan: roll amplitude [rad], its period [s], pitch [rad] and airspeed; the controls
+# without feedback, elevator, aileron, rudder [rad] and throttle; what is full deflection of each.
+OPEN_LOOP, THROW, PLAN_SIZE = 4, 8, 12
 
 
 @inlined
-def weave_controls(motion: WeaveFeedback, aim: Four, open_loop: Four, t_s: float) -> Four:
-    """Elevator, aileron, rudder [rad] and throttle.
+def _add_square(high: float, low: float, x: float) -> tuple[float, float]:
+    """The sum of high + low and x * x, with its rounding error in the second part."""
+    square = x * x
+    total = high + square
+    kept = total - high
+    return total, low + fma(x, x, -square) + ((high - (total - kept)) + (square - kept))
 
-    Parameters
-    ----------
-    motion : Motion
-    aim : 4 floats
-        Roll amplitude [rad], its period [s], pitch [rad], airspeed [m/s].
-    open_loop : 4 floats
-        Controls without feedback.
-    t_s : float
-        Time since the start.
+
+@inlined
+def vector_length(x: float, y: float, z: float) -> float:
+    """The length of a vector, rounded once as that of `math.hypot`."""
+    high, low = _add_square(0.0, 0.0, x)
+    high, low = _add_square(high, low, y)
+    high, low = _add_square(high, low, z)
+    length = sqrt(high)
+    return length + (fma(-length, length, high) + low) / (2.0 * length) if high > 0.0 else 0.0
+
+
+@inlined
+def _limited(deflection: float) -> float:
+    return min(DEFLECTION_LIMIT_RAD, max(-DEFLECTION_LIMIT_RAD, deflection))
+
+
+@compiled
+def weave_controls(
+    t_s: float, q_nb: Array, omega_b_rps: Array, v_air_b_mps: Array, plan: Array, out: Array
+) -> None:
+    """Set `out` (4,) to elevator, aileron, rudder (-1 to 1) and throttle at a time since the start.
+
+    Attitude (4,), body rates (3,) and velocity through the air (3,) are the feedback; `plan`
+    (PLAN_SIZE,).
     """
-    roll_rad, period_s, pitch_rad, airspeed_mps = aim
-    elevator, aileron, rudder, throttle = open_loop
-    sine, _ = sin_cos(2.0 * pi * t_s / period_s)
-    more_elevator = PITCH_RATE_GAIN * motion.q - PITCH_GAIN * (pitch_rad - motion.pitch)
-    more_aileron = ROLL_GAIN * (roll_rad * sine - motion.roll) - ROLL_RATE_GAIN * motion.p
-    throttle += SPEED_GAIN * (airspeed_mps - motion.airspeed_mps)
-    return (
-        elevator + min(DEFLECTION_LIMIT_RAD, max(-DEFLECTION_LIMIT_RAD, more_elevator)),
-        aileron + min(DEFLECTION_LIMIT_RAD, max(-DEFLECTION_LIMIT_RAD, more_aileron)),
-        rudder,
-        min(1.0, max(0.0, throttle)),
-    )
+    roll, pitch, _ = euler_of_quaternion(q_nb)
+    speed = vector_length(v_air_b_mps[0], v_air_b_mps[1], v_air_b_mps[2])
+    sine, _ = sin_cos(2.0 * pi * t_s / plan[1])
+    elevator = PITCH_RATE_GAIN * omega_b_rps[1] - PITCH_GAIN * (plan[2] - pitch)
+    aileron = ROLL_GAIN * (plan[0] * sine - roll) - ROLL_RATE_GAIN * omega_b_rps[0]
+    throttle = plan[OPEN_LOOP + 3] + SPEED_GAIN * (plan[3] - speed)
+    out[0] = plan[OPEN_LOOP] + _limited(elevator)
+    out[1] = plan[OPEN_LOOP + 1] + _limited(aileron)
+    out[2] = plan[OPEN_LOOP + 2]
+    out[3] = min(1.0, max(0.0, throttle))
+    for i in range(4):
+        out[i] /= plan[THROW + i]

@@ -1,16 +1,17 @@
-"""A quadrotor that rolls from side to side at constant pitch and height: a scalar kernel.
+"""A quadrotor that rolls from side to side at constant pitch and height.
 
-It feeds back the true state, as a quadrotor is unstable without feedback. The simulator calls it
-for one vehicle, the worst-case search for many.
+It feeds back the true state, as a quadrotor is unstable without feedback.
 """
 
 from math import pi
-from typing import NamedTuple
 
 import numpy as np
 
-from mavproxy_fault.numerics.compile import inlined
+from mavproxy_fault.numerics.arrays import Array
+from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.polynomial import sin_cos
+from mavproxy_fault.numerics.rotations.rotation_kernel import euler_of_quaternion
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
 MOTOR_COUNT = 4
@@ -20,35 +21,14 @@ ATTITUDE_GAIN, RATE_GAIN, YAW_SHARE = 8.0, 22.0, 0.3
 HEIGHT_GAIN, CLIMB_GAIN, CLIMB_LIMIT_MPS = 1.2, 2.5, 2.0
 TILT_COSINE_MIN = 0.3  # chosen: limits the thrust at extreme tilt
 
-Four = tuple[float, float, float, float]
-Three = tuple[float, float, float]
+# Starts in a plan: roll amplitude [rad], its period [s] and pitch [rad]; each motor's thrust (row)
+# per lift and per moment about x, y and z; mass and moments of inertia; the motors' constants:
+# thrust, idle and full speed; the height to hold [m].
+SHARES, MASS, MOMENTS, MOTOR, HEIGHT, PLAN_SIZE = 3, 19, 20, 23, 26, 27
 
 
-class QuadParameters(NamedTuple):
-    """Parameters of the motor mixing, SI units: each motor's thrust (row) per lift and per moment
-    about x, y and z; mass and moments of inertia; motor constants."""
-
-    shares: tuple[Four, Four, Four, Four]
-    mass_kg: float
-    moments_kgm2: Three
-    thrust: float
-    idle: float
-    full: float
-
-
-class SwayFeedback(NamedTuple):
-    """Feedback: roll and pitch [rad], body rates [rad/s], height above the setpoint [m], climb
-    rate [m/s]."""
-
-    roll: float
-    pitch: float
-    rates: Three
-    above_m: float
-    climb_mps: float
-
-
-def quad_parameters(vehicle: Multirotor) -> QuadParameters:
-    """The kernel's parameters of a multirotor with four rotors.
+def sway_plan(vehicle: Multirotor, aim: tuple[float, float, float], height_m: float) -> Array:
+    """The plan (PLAN_SIZE,) of a multirotor with four rotors.
 
     Raises
     ------
@@ -60,68 +40,38 @@ def quad_parameters(vehicle: Multirotor) -> QuadParameters:
             f"{vehicle.controls_count} rotors cannot weave; use a vehicle with {MOTOR_COUNT}"
         )
     motor, inertia = vehicle.parameters.motor, vehicle.parameters.inertia_kgm2
-    shares = np.linalg.inv(vehicle.thrust_effects)
-    first, second, third, fourth = (
-        (float(row[0]), float(row[1]), float(row[2]), float(row[3])) for row in shares
-    )
-    return QuadParameters(
-        (first, second, third, fourth),
-        vehicle.parameters.mass_kg,
-        (inertia.jx, inertia.jy, inertia.jz),
-        motor.thrust_n_per_rps2,
-        motor.idle_rps,
-        motor.full_rps,
-    )
+    moments = (inertia.jx, inertia.jy, inertia.jz)
+    constants = (motor.thrust_n_per_rps2, motor.idle_rps, motor.full_rps)
+    shares = np.linalg.inv(vehicle.thrust_effects).ravel()
+    return np.array([*aim, *shares, vehicle.parameters.mass_kg, *moments, *constants, height_m])
 
 
-@inlined
+@compiled
 def sway_commands(
-    feedback: SwayFeedback,
-    aim: Three,
-    quad: QuadParameters,
-    gravity: float,
-    density_ratio: float,
-    t_s: float,
-) -> Four:
-    """Commands (0 to 1) of the four motors.
+    t_s: float, q_nb: Array, omega_b_rps: Array, height_m: float, climb_mps: float,
+    density_ratio: float, plan: Array, out: Array,
+) -> None:  # fmt: skip
+    """Set `out` (4,) to the commands (0 to 1) of the four motors at a time since the start.
 
-    Parameters
-    ----------
-    feedback : SwayFeedback
-    aim : 3 floats
-        Roll amplitude [rad], its period [s], pitch [rad].
-    quad : Quad
-    gravity : float
-        [m/s^2]
-    density_ratio : float
-        Air density_ratio relative to sea level.
-    t_s : float
-        Time since the start.
+    Attitude (4,), body rates (3,), height and climb rate are the feedback; `density_ratio` is that
+    of the air to sea level; `plan` (PLAN_SIZE,).
     """
-    roll_rad, period_s, pitch_rad = aim
-    sine, _ = sin_cos(2.0 * pi * t_s / period_s)
-    p, q, r = feedback.rates
-    jx, jy, jz = quad.moments_kgm2
-    mx = jx * RATE_GAIN * (ATTITUDE_GAIN * (roll_rad * sine - feedback.roll) - p)
-    my = jy * RATE_GAIN * (ATTITUDE_GAIN * (pitch_rad - feedback.pitch) - q)
-    mz = -jz * YAW_SHARE * RATE_GAIN * r
-    _, cos_roll = sin_cos(feedback.roll)
-    _, cos_pitch = sin_cos(feedback.pitch)
-    climb_setpoint = min(CLIMB_LIMIT_MPS, max(-CLIMB_LIMIT_MPS, -HEIGHT_GAIN * feedback.above_m))
-    upward = gravity + CLIMB_GAIN * (climb_setpoint - feedback.climb_mps)
-    lift = quad.mass_kg * upward / max(TILT_COSINE_MIN, cos_roll * cos_pitch)
-    first, second, third, fourth = quad.shares
-    return (
-        _command(first, (lift, mx, my, mz), quad, density_ratio),
-        _command(second, (lift, mx, my, mz), quad, density_ratio),
-        _command(third, (lift, mx, my, mz), quad, density_ratio),
-        _command(fourth, (lift, mx, my, mz), quad, density_ratio),
-    )
-
-
-@inlined
-def _command(share: Four, loads: Four, quad: QuadParameters, density_ratio: float) -> float:
-    """One motor's command for lift and moments; never 0, which would stop the motor."""
-    thrust = share[0] * loads[0] + share[1] * loads[1] + share[2] * loads[2] + share[3] * loads[3]
-    speed: float = np.sqrt(max(thrust, 0.0) / (quad.thrust * density_ratio))
-    return min(1.0, max(0.01, (speed - quad.idle) / (quad.full - quad.idle)))
+    roll, pitch, _ = euler_of_quaternion(q_nb)
+    sine, _ = sin_cos(2.0 * pi * t_s / plan[1])
+    p, q, r = omega_b_rps[0], omega_b_rps[1], omega_b_rps[2]
+    mx = plan[MOMENTS] * RATE_GAIN * (ATTITUDE_GAIN * (plan[0] * sine - roll) - p)
+    my = plan[MOMENTS + 1] * RATE_GAIN * (ATTITUDE_GAIN * (plan[2] - pitch) - q)
+    mz = -plan[MOMENTS + 2] * YAW_SHARE * RATE_GAIN * r
+    _, cos_roll = sin_cos(roll)
+    _, cos_pitch = sin_cos(pitch)
+    climb_setpoint = -HEIGHT_GAIN * (height_m - plan[HEIGHT])
+    climb_setpoint = min(CLIMB_LIMIT_MPS, max(-CLIMB_LIMIT_MPS, climb_setpoint))
+    upward = STANDARD_GRAVITY_MPS2 + CLIMB_GAIN * (climb_setpoint - climb_mps)
+    lift = plan[MASS] * upward / max(TILT_COSINE_MIN, cos_roll * cos_pitch)
+    per_square, idle, full = plan[MOTOR], plan[MOTOR + 1], plan[MOTOR + 2]
+    for i in range(MOTOR_COUNT):
+        share = plan[SHARES + 4 * i : SHARES + 4 * i + 4]
+        thrust = share[0] * lift + share[1] * mx + share[2] * my + share[3] * mz
+        speed = np.sqrt(max(thrust, 0.0) / (per_square * density_ratio))
+        # Never 0, which would stop the motor.
+        out[i] = min(1.0, max(0.01, (speed - idle) / (full - idle)))
