@@ -57,10 +57,3 @@ def trim_values(airframe: Airframe, density_kgpm3: float) -> dict[str, float]:
         "mission.pitch_deg": float(np.degrees(state[PITCH])),
         "mission.airspeed_mps": trim.airspeed_mps,
     }
-
-
-def hover_rps(airframe: Airframe, density_kgpm3: float) -> float:
-    """Motor speed of a quadrotor in hover [rad/s]; 0 for a fixed wing."""
-    if isinstance(airframe, Multirotor):
-        return airframe.hover_rps(density_kgpm3, STANDARD_GRAVITY_MPS2)
-    return 0.0
