@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 
 import msgspec
-import numpy as np
 
 from mavproxy_fault.numerics.compile import compiled, inlined
 from simvehicle.hil.hil_frames import HilPacker
@@ -26,48 +25,31 @@ from simvehicle.sensors.rangefinder import Rangefinder
 from simvehicle.sensors.vision import Vision
 from simvehicle.simulation.simulation import Simulation
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
-from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, WingInputs, state_derivative
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, WingInputs, forces_moments
 from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_coefficients
 from simvehicle.vehicles.parameter_file import body_inertia
-from simvehicle.vehicles.rigidbody_kernel import Inertia, finish_step
+from simvehicle.vehicles.rigidbody_kernel import Inertia, Loads, State13, runge_kutta_step
 
-LANES = 32
 STEPS = 2000
 ROUNDS = 25
 
 
 @inlined
-def step(
-    x: tuple[float, ...], u: tuple[float, ...], body: Inertia, aero: Aero
-) -> tuple[float, ...]:
-    """One Runge-Kutta step of 10 ms."""
-    given = WingInputs(u, (0.0, 0.0, 0.0), (0.0, 0.0, 9.81), 1.2682, body, aero)
-    return finish_step(x, state_derivative(x, given), state_derivative, given, given, 0.01)
-
-
-@compiled
-def lanes(x: np.ndarray, u: np.ndarray, body: Inertia, aero: Aero, n: int) -> None:
-    """Step 32 vehicles `n` times; `x` (13 * 32,) and `u` (4 * 32,) hold one row per quantity."""
-    for _ in range(n):
-        for i in range(32):
-            s = (
-                x[i], x[32 + i], x[64 + i], x[96 + i], x[128 + i], x[160 + i], x[192 + i],
-                x[224 + i], x[256 + i], x[288 + i], x[320 + i], x[352 + i], x[384 + i],
-            )  # fmt: skip
-            c = (u[i], u[32 + i], u[64 + i], u[96 + i])
-            s = step(s, c, body, aero)
-            x[i], x[32 + i], x[64 + i], x[96 + i], x[128 + i] = s[0], s[1], s[2], s[3], s[4]
-            x[160 + i], x[192 + i], x[224 + i], x[256 + i] = s[5], s[6], s[7], s[8]
-            x[288 + i], x[320 + i], x[352 + i], x[384 + i] = s[9], s[10], s[11], s[12]
+def loads(state: State13, stage: int, given: WingInputs) -> Loads:
+    """Force and moment of still air."""
+    _, _, _, u, v, w, _, _, _, _, p, q, r = state
+    return forces_moments((u, v, w), (p, q, r), given.controls, given.density, given.aero)
 
 
 @compiled
 def single(
-    x: tuple[float, ...], u: tuple[float, ...], body: Inertia, aero: Aero, n: int
-) -> tuple[float, ...]:
-    """Step one vehicle `n` times."""
+    x: State13, u: tuple[float, float, float, float], body: Inertia, aero: Aero, n: int
+) -> State13:
+    """Fly `n` Runge-Kutta steps of 10 ms in still air."""
+    gravity = (0.0, 0.0, 9.81)
+    given = WingInputs(u, (0.0, 0.0, 0.0), gravity, 1.2682, body, aero)
     for _ in range(n):
-        x = step(x, u, body, aero)
+        x = runge_kutta_step(x, loads, given, gravity, body, 0.01)
     return x
 
 
@@ -86,12 +68,6 @@ def kernels() -> None:
     """Vehicle-steps per second of the Runge-Kutta kernel."""
     parameters = FixedWing.read("aerosonde-2025").parameters
     body, aero = body_inertia(parameters, {}), aero_coefficients(parameters, {})
-    x = np.zeros(13 * LANES)
-    x[96:128], x[192:224] = 25.0, 1.0
-    u = np.zeros(4 * LANES)
-    u[:32], u[96:] = -0.12, 0.77
-    seconds = best(lambda: lanes(x.copy(), u, body, aero, STEPS))
-    print(f"| RK4 step, {LANES} lanes | {LANES * STEPS / seconds / 1e6:.1f} million steps/s |")
     one = (0.0, 0.0, 0.0, 25.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     control = (-0.12, 0.0, 0.0, 0.77)
     seconds = best(lambda: single(one, control, body, aero, 10 * STEPS))

@@ -148,25 +148,6 @@ def normalise_quaternion(state: State13) -> State13:
 
 
 @inlined
-def finish_step(
-    state: State13, k1: State13, rate: Callable[..., State13], middle: Any, last: Any, dt: float
-) -> State13:
-    """The classical Runge-Kutta step whose first stage is `k1`, written out for loops over many
-    vehicles.
-
-    `rate` is an inlined function of a state, and of the inputs `middle` or `last` at the middle and
-    the end of the step.
-    """
-    k2 = rate(euler_step(state, k1, 0.5 * dt), middle)
-    k3 = rate(euler_step(state, k2, 0.5 * dt), middle)
-    k4 = rate(euler_step(state, k3, dt), last)
-    s = euler_step(state, k1, dt / 6.0)
-    s = euler_step(s, k2, dt / 3.0)
-    s = euler_step(s, k3, dt / 3.0)
-    return normalise_quaternion(euler_step(s, k4, dt / 6.0))
-
-
-@inlined
 def runge_kutta_step(
     state: State13,
     loads: Callable[..., Loads],
@@ -177,8 +158,7 @@ def runge_kutta_step(
 ) -> State13:
     """One classical Runge-Kutta step of a single vehicle.
 
-    The stages are a loop, as four copies of a vehicle's loads take four times as long to compile. A
-    loop over many vehicles needs four copies to be vectorised; it uses `finish_step`.
+    The stages are a loop, as four copies of a vehicle's loads take four times as long to compile.
 
     Parameters
     ----------

@@ -1,9 +1,7 @@
 """Forces and moments of the fixed wing, as scalar compiled functions.
 
 The 12-state nonlinear model of Beard and McLain, Small Unmanned Aircraft, 2012, chapters 3 and 4,
-with a quaternion for the attitude. The simulator calls them for one vehicle, the worst-case search
-in a loop over many. All code is branch-free scalar arithmetic on a parameter
-tuple, so that LLVM can vectorise that loop.
+with a quaternion for the attitude.
 """
 
 from typing import NamedTuple

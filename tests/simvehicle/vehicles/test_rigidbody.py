@@ -3,19 +3,21 @@
 import numpy as np
 import pytest
 
-from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
+from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
-from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, WingInputs, state_derivative
+from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero, WingInputs, forces_moments
 from simvehicle.vehicles.fixedwing.fixedwing_parameters import aero_coefficients
 from simvehicle.vehicles.fixedwing.trim import find_trim
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.parameter_file import body_inertia
 from simvehicle.vehicles.rigidbody_kernel import (
     Inertia,
+    Loads,
     State13,
-    finish_step,
     inertia_coefficients,
+    runge_kutta_step,
 )
 from simvehicle.vehicles.vehicle import pack_surroundings
 
@@ -26,6 +28,15 @@ J = np.array([[JX, 0.0, -JXZ], [0.0, JY, 0.0], [-JXZ, 0.0, JZ]])
 UPRIGHT = np.array([1.0, 0.0, 0.0, 0.0])
 CONTROLS = (-0.12, 0.02, 0.0, 0.6)
 START: State13 = (0.0, 0.0, -100.0, 20.0, 3.0, -4.0, 1.0, 0.0, 0.0, 0.0, 1.2, -0.7, 0.9)
+
+
+@inlined
+def loads(state: State13, stage: int, given: WingInputs) -> Loads:
+    """Force and moment of the air, the same at every stage of a step."""
+    _, _, _, u, v, w, e0, e1, e2, e3, p, q, r = state
+    wind = to_body(e0, e1, e2, e3, given.wind[0], given.wind[1], given.wind[2])
+    air = (u - wind[0], v - wind[1], w - wind[2])
+    return forces_moments(air, (p, q, r), given.controls, given.density, given.aero)
 
 
 @compiled
@@ -43,8 +54,7 @@ def fly(
     air, down = (wind, -2.0 * wind, 0.0), (0.0, 0.0, gravity)
     given = WingInputs(controls, air, down, density, body, aero)
     for _ in range(n):
-        k1 = state_derivative(state, given)
-        state = finish_step(state, k1, state_derivative, given, given, dt)
+        state = runge_kutta_step(state, loads, given, down, body, dt)
     return state
 
 
