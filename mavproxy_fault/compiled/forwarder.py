@@ -113,9 +113,16 @@ class Forwarder(CompiledCore):
         return any(word >> 48 for word in self.polls[len(self._links) :])
 
     def ready(self) -> list[int]:
-        """Links outside the compiled form that have something."""
-        count = range(len(self._links))
-        return [n for n in count if self.polls[n] >> 48 and not self.ports[n, k.COMPILED]]
+        """Links outside the compiled form that have something.
+
+        Their bytes are counted first: a stream whose end is read now may have been heard.
+        """
+        ports, links = self.ports, enumerate(self._links)
+        found = [n for n, _ in links if self.polls[n] >> 48 and not ports[n, k.COMPILED]]
+        for number in found:
+            self._links[number].counters.bytes_in += ports[number, k.BYTES]
+            ports[number, k.BYTES] = 0
+        return found
 
     def _refresh(self) -> None:
         """Follow the engine, the control path and the peers."""

@@ -192,7 +192,7 @@ def test_all_plots_share_the_zoom_and_the_instant(page: Any) -> None:
         assert (low, high) == pytest.approx((0.5, 1.5), abs=0.05)
     page.focus("#time")
     page.keyboard.press("Home")
-    assert page.text_content("#instant") == "0.00 s"
+    assert page.text_content("#instant") == "0.01 s"
     assert page.locator(".instant:visible").count() == 0  # outside of what is shown
 
 
