@@ -98,7 +98,7 @@ def test_a_campaigns_page_is_for_all_and_fits_a_window_that_becomes_narrow(
     for width in (1024, 390):
         shown.set_viewport_size({"width": width, "height": 900})
         shown.wait_for_function(
-            "document.documentElement.scrollWidth <= innerWidth"
+            "() => document.documentElement.scrollWidth <= innerWidth"
             " && document.querySelector('.uplot').offsetWidth <= innerWidth"
         )
     assert find_barriers(shown) == []
