@@ -104,8 +104,10 @@ class Forwarder(CompiledCore):
 
     @property
     def has_more(self) -> bool:
-        """Whether the link of the newest datagram has received another one."""
-        return bool(select.select([self.ports[self.loop[k.LINK], k.FD]], (), (), 0)[0])
+        """Whether the link of the newest chunk has received another one, or has ended."""
+        look = select.poll()  # takes any number of a descriptor, also of one closed since
+        look.register(int(self.ports[self.loop[k.LINK], k.FD]), POLLIN)
+        return bool(look.poll(0))
 
     @property
     def wakes_ready(self) -> bool:
