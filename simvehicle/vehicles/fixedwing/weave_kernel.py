@@ -8,7 +8,7 @@ from math import pi, sqrt
 
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.polynomial import fma, sin_cos
+from mavproxy_fault.numerics.polynomial import sin_cos
 from mavproxy_fault.numerics.rotations.rotation_kernel import euler_of_quaternion
 
 # Elevator and aileron per rad and per rad/s, throttle per m/s: bandwidths of pitch and roll of
@@ -18,25 +18,6 @@ DEFLECTION_LIMIT_RAD = 0.4  # of the feedback alone; chosen
 # Starts in a plan: roll amplitude [rad], its period [s], pitch [rad] and airspeed; the controls
 # without feedback, elevator, aileron, rudder [rad] and throttle; what is full deflection of each.
 OPEN_LOOP, THROW, PLAN_SIZE = 4, 8, 12
-
-
-@inlined
-def _add_square(high: float, low: float, x: float) -> tuple[float, float]:
-    """The sum of high + low and x * x, with its rounding error in the second part."""
-    square = x * x
-    total = high + square
-    kept = total - high
-    return total, low + fma(x, x, -square) + ((high - (total - kept)) + (square - kept))
-
-
-@inlined
-def vector_length(x: float, y: float, z: float) -> float:
-    """The length of a vector, rounded once as that of `math.hypot`."""
-    high, low = _add_square(0.0, 0.0, x)
-    high, low = _add_square(high, low, y)
-    high, low = _add_square(high, low, z)
-    length = sqrt(high)
-    return length + (fma(-length, length, high) + low) / (2.0 * length) if high > 0.0 else 0.0
 
 
 @inlined
@@ -54,11 +35,11 @@ def weave_controls(
     (PLAN_SIZE,).
     """
     roll, pitch, _ = euler_of_quaternion(q_nb)
-    speed = vector_length(v_air_b_mps[0], v_air_b_mps[1], v_air_b_mps[2])
+    u, v, w = v_air_b_mps[0], v_air_b_mps[1], v_air_b_mps[2]
     sine, _ = sin_cos(2.0 * pi * t_s / plan[1])
     elevator = PITCH_RATE_GAIN * omega_b_rps[1] - PITCH_GAIN * (plan[2] - pitch)
     aileron = ROLL_GAIN * (plan[0] * sine - roll) - ROLL_RATE_GAIN * omega_b_rps[0]
-    throttle = plan[OPEN_LOOP + 3] + SPEED_GAIN * (plan[3] - speed)
+    throttle = plan[OPEN_LOOP + 3] + SPEED_GAIN * (plan[3] - sqrt(u * u + v * v + w * w))
     out[0] = plan[OPEN_LOOP] + _limited(elevator)
     out[1] = plan[OPEN_LOOP + 1] + _limited(aileron)
     out[2] = plan[OPEN_LOOP + 2]

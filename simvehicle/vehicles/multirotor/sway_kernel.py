@@ -13,6 +13,7 @@ from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.numerics.polynomial import sin_cos
 from mavproxy_fault.numerics.rotations.rotation_kernel import euler_of_quaternion
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
+from simvehicle.vehicles.solution import round_solution
 
 MOTOR_COUNT = 4
 # The built-in controller's gains: angle to rate, rate to angular acceleration [1/s], scale for yaw;
@@ -42,7 +43,7 @@ def sway_plan(vehicle: Multirotor, aim: tuple[float, float, float], height_m: fl
     motor, inertia = vehicle.parameters.motor, vehicle.parameters.inertia_kgm2
     moments = (inertia.jx, inertia.jy, inertia.jz)
     constants = (motor.thrust_n_per_rps2, motor.idle_rps, motor.full_rps)
-    shares = np.linalg.inv(vehicle.thrust_effects).ravel()
+    shares = round_solution(np.linalg.inv(vehicle.thrust_effects)).ravel()
     return np.array([*aim, *shares, vehicle.parameters.mass_kg, *moments, *constants, height_m])
 
 
