@@ -38,11 +38,8 @@ class RecordedSky:
     """The sky of a complete recording, for its results in blocks of any size."""
 
     def __init__(self, block: Block, config: DetectorConfig) -> None:
-        self._epochs, self._orbits, self._systems = (
-            epochs_of(block),
-            orbits_of(block),
-            config.systems,
-        )
+        self._epochs, self._orbits = epochs_of(block), orbits_of(block)
+        self._systems = config.systems
         self._selection: EphemerisSelection | None = None
 
     def add_sky(self, results: Sequence[Result]) -> list[Result]:

@@ -9,7 +9,7 @@ import ctypes
 import itertools
 from array import array
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.rule_numbers import link_rules, value_rules
@@ -22,9 +22,6 @@ from mavproxy_fault.faults.timestamp_faults import TimestampFault, stamp_fields
 from mavproxy_fault.proxy.active_entry import ActiveEntry
 from mavproxy_fault.proxy.interfaces import NEVER_US
 from mavproxy_fault.wire.dialect import Layout
-
-if TYPE_CHECKING:
-    pass
 
 WAYS = ("to-vehicle", "from-vehicle")
 EFFECTS = {"delay": k.DELAY, "copies": k.COPIES, "renumber": k.RENUMBER}

@@ -211,8 +211,8 @@ def read_parts(path: str | Path) -> Iterator[Log]:
     for block in _blocks(data, BLOCK_FRAMES):
         yield _log(data, block)
         # Pages that were read count as memory of the process until they are given back.
-        if isinstance(data, np.memmap):
-            data._mmap.madvise(mmap.MADV_DONTNEED)  # type: ignore[attr-defined]
+        if isinstance(data.base, mmap.mmap):
+            data.base.madvise(mmap.MADV_DONTNEED)
 
 
 def _log(data: NDArray[np.uint8], block: _Block) -> Log:

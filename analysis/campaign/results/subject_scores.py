@@ -66,8 +66,7 @@ def share_bounds(count: int, total: int) -> tuple[float, float]:
                      for i in range(total + 1)])  # fmt: skip
 
     def tail(share: float, counts: slice) -> float:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            logs = ways + k * math.log(share) + (total - k) * math.log1p(-share)
+        logs = ways + k * math.log(share) + (total - k) * math.log1p(-share)
         return float(np.exp(logs[counts]).sum())
 
     rest = (1.0 - CONFIDENCE) / 2.0

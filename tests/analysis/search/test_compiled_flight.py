@@ -25,7 +25,6 @@ from analysis.search.space.test_file import (
     InitialState,
     Mission,
     SearchControls,
-    SearchSensors,
     TestFile,
 )
 from mavproxy_fault.documents.errors import ConfigError
@@ -33,14 +32,8 @@ from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.scenario.scenario_file import Scenario
+from tests.analysis.search.quiet_sensors import QUIET
 
-QUIET = SearchSensors(
-    gyro_sigma_dps=0.0,
-    accel_sigma_mps2=0.0,
-    field_sigma_gauss=0.0,
-    velocity_sigma_mps=0.0,
-    pressure_sigma_pa=0.0,
-)
 WEAVE = Mission(roll_deg=35.0, period_s=12.0)
 # Half a step of each field on the wire, by kind and column: centimetres a second and 1e-7 degrees
 # of GPS, and 32 bits of all others.

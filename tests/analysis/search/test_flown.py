@@ -20,20 +20,12 @@ from analysis.search.space.test_file import (
     InitialState,
     Mission,
     SearchControls,
-    SearchSensors,
     TestFile,
     read_test,
 )
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.schedule.entries import parse_schedule
 
-QUIET = SearchSensors(
-    gyro_sigma_dps=0.0,
-    accel_sigma_mps2=0.0,
-    field_sigma_gauss=0.0,
-    velocity_sigma_mps=0.0,
-    pressure_sigma_pa=0.0,
-)
 BIAS = FaultRange(fault="bias", target="HIL_SENSOR.xgyro", value=0.02, at_s=3.0, for_s=3.0)
 SCENARIO = """
 name: quad
