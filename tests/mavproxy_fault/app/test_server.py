@@ -140,7 +140,7 @@ def test_two_vehicles_and_two_stations_share_one_proxy() -> None:
             assert other.recv(999) == answer
 
 
-@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("compiled", [False, True], ids=["interpreted", "compiled_kernels"])
 def test_chunks_that_arrive_together_are_sent_together_to_peers_of_a_server(
     compiled: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
