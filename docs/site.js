@@ -1,5 +1,5 @@
 "use strict";
-// Names for the parts of the theme that have none, so that a screen reader can tell them apart.
+// Names for the parts of the theme that have none, so that a screen reader can distinguish them.
 
 function nameParts() {
   document.querySelector(".md-search")?.setAttribute("aria-label", "Search");

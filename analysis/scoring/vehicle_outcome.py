@@ -507,9 +507,10 @@ def _find_touchdown(
 
 def describe_vehicle(found: VehicleOutcome) -> str:
     """Return the outcome in one line, with the chain of events in seconds."""
+    shown = {found.outcome, FAILSAFE, LOST_CONTROL, FLEW_AWAY, CRASHED, "touchdown"}
     chain = ", ".join(
         f"{event.text if event.kind == found.outcome else event.kind} at {event.t_s:.1f} s"
         for event in found.events
-        if event.kind in (found.outcome, FAILSAFE, LOST_CONTROL, FLEW_AWAY, CRASHED, "touchdown")
+        if event.kind in shown - {UNCOMMANDED}  # which is at the touchdown
     )
     return f"{found.outcome}; {chain}" if chain else found.outcome
