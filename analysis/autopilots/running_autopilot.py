@@ -21,10 +21,11 @@ Process = subprocess.Popen[bytes]
 
 @dataclass(frozen=True, slots=True)
 class RunningAutopilot:
-    """The autopilot's process and links, its console log, and the message that steps it.
+    """The autopilot's process and links, its console log, and the message that advances it a step.
 
     The first link is the HIL link, further ones are telemetry. `startup_text` appears on the
-    console when its start is complete; it answers steps before that.
+    console when its start is complete; the autopilot answers steps even
+    earlier.
     """
 
     name: str

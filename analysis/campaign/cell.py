@@ -10,10 +10,10 @@ HEALTHY = "healthy"  # the `fault` of a reference flight
 
 
 class Cell(msgspec.Struct, frozen=True, kw_only=True):
-    """One combination of subject, scenario and fault.
+    """One combination of subject under test, scenario and fault.
 
-    `magnitude` is in the field's unit, None for a fault or preset without one; `onset` is a time in
-    seconds or the name of a phase of flight, as in the campaign file.
+    `magnitude` is in the message field's unit, None for a fault or preset without one; `onset` is a
+    time in seconds or the name of a phase of flight, as in the campaign file.
     """
 
     subject: str

@@ -60,7 +60,7 @@ def magnitude_units(campaign: CampaignFile) -> dict[str, MagnitudeUnit]:
 
 
 def fault_unit(choice: FaultChoice, lat_rad: float) -> MagnitudeUnit:
-    """Return the unit of a fault's magnitudes at a latitude."""
+    """Return unit and scale in which a fault's magnitudes are shown at a latitude."""
     if choice.faults:
         # Parts with one magnitude have one unit, or none is shown.
         units = {fault_unit(part, lat_rad) for part in choice.faults}

@@ -61,8 +61,11 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         show(kind, text)
     for row in summary["false_by_channel"] or ():
         isolated = ", ".join(row["blamed"]) or "none"
-        counts = f"{row['outside']} outside faults, {row['inside']} inside, {row['per_hour']:g}"
-        text = f"{row['channel']}: {counts} per hour; isolated: {isolated}, {row['seconds']:.1f} s"
+        counts = f"{row['outside']} outside faults, {row['inside']} inside"
+        text = (
+            f"{row['channel']}: {counts}, {row['per_hour']:g} per hour; "
+            f"wrongly isolated: {isolated}, for {row['seconds']:.1f} s"
+        )
         show("false alarms", text)
     speed = summary["sim_s"] / summary["wall_s"] if summary["wall_s"] else 0.0
     took = f"{summary['sim_s']:.1f} s of flight in {summary['wall_s']:.1f} s"
@@ -96,11 +99,11 @@ def _position_errors(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for name, row in summary.get("integrity", {}).items():
         yield (
             "protection",
-            f"{name} level {row['median_level_m']:.1f} m (median); error above it in "
-            f"{row['misleading']} of {row['with_level']} epochs (largest ratio "
-            f"{row['largest_error_over_level']:.2f}); below the alert limit of "
-            f"{row['alert_limit_m']:.0f} m in {100 * row['available_share']:.1f} %, assuming "
-            f"{' or '.join(row['assumes'])}",
+            f"{name} protection level {row['median_level_m']:.1f} m (median); error above it in "
+            f"{row['misleading']} of {row['with_level']} epochs (largest error/level "
+            f"{row['largest_error_over_level']:.2f}); level within the alert limit of "
+            f"{row['alert_limit_m']:.0f} m in {100 * row['available_share']:.1f} % of epochs; "
+            f"assumed: {' or '.join(row['assumes'])}",
         )
 
 

@@ -160,7 +160,7 @@ def _outcome(
 def _verdict(
     period: _FaultPeriod, own: Sequence[AlarmWindow], right: Sequence[str], active: Collection[str]
 ) -> tuple[str, str]:
-    """Verdict and reason of a fault during which no healthy sensor was isolated."""
+    """Verdict and reason of a fault, regardless of wrongly isolated sensors."""
     visibility = period.visibility
     observing = visibility.channels | period.witnesses
     # No channel can observe this fault: no verdict about the monitor.

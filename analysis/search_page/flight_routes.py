@@ -25,7 +25,7 @@ OWN_FILES = {path.name: path for path in ASSETS.iterdir() if path.suffix in (".j
 
 
 class FlightPage:
-    """The page's routes for the flights of a session."""
+    """The HTTP routes of the page that shows a session's flights."""
 
     def __init__(self, flights: Flights, access: AccessControl) -> None:
         self._flights = flights

@@ -28,7 +28,7 @@ def combine_number(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> 
 
 @value_rule
 def combine_profile(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
-    """Combine the value with that of a profile, which keeps its numbers in memory."""
+    """Combine the healthy value with the profile's by the mode `p[0]`; `m` is its memory."""
     held, value = profile_value(p[1:], t_s, m)
     if not held:
         return x[i]

@@ -46,7 +46,7 @@ class Saturate(RuleFault, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         if self.value is None and self.low is None and self.high is None:
-            raise ValueError("needs a range; give value, low or high")
+            raise ValueError("needs at least one limit; give value, low or high")
         low, high = self._range()
         if low > high:
             raise ValueError(f"low = {low} is above high = {high}; give a low below high")

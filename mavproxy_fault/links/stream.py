@@ -134,7 +134,7 @@ class ReopenedLink:
         raise NotImplementedError
 
     def _is_open(self, _: Any, stream: Stream) -> bool:
-        """Whether a stream can be read yet."""
+        """Whether the stream's connection is established."""
         return stream.open
 
     def _read(self, _: Any, stream: Stream) -> tuple[bytes, bool]:

@@ -120,7 +120,7 @@ class Core:
         self._listeners = self._routes.all_links & ~vehicle_links  # that announcements go to
 
     def attach(self, control: CommandResponder) -> None:
-        """Let a responder see commands and messages; it shares the state of the senders."""
+        """Let a responder see commands and messages, and give it the core's table of senders."""
         control.senders = self.senders
         self.control = control
 

@@ -203,7 +203,7 @@ def _cn0_count(cn0_dbhz: float) -> int:
 
 
 def _encode(raw: _Message) -> bytes:
-    """Encode the complete message: head, masks, columns of satellites, columns of cells."""
+    """Encode the complete message: header, masks, satellite and cell data field by field."""
     signals = sorted({signal for _, signal in raw.cells})
     columns = [
         *(((value,), width) for value, width in zip(raw.head, HEAD_BITS, strict=True)),

@@ -103,7 +103,7 @@ def bind_fault(
             raise ValueError("via: simulator needs a PSEUDORANGE or PLANT target; remove via")
         return fault, at.ids
     if isinstance(fault, Drop) and (fault.profile is not None or fault.correlation):
-        raise ValueError("loses satellites by value only; remove profile and correlation")
+        raise ValueError("drop of satellites accepts value only; remove profile and correlation")
     if via == "simulator":
         names = receiver_names(at.satellites, fault)
         return ReceiverFault(names=names, fault=fault), CARRIER_IDS

@@ -22,8 +22,8 @@ RESTART_ADVICE = (
     "as PX4 does not reconnect"
 )
 STALE_AUTOPILOT_ADVICE = (
-    "restart an autopilot that ran before this simulator started, and the proxy with it: its clock "
-    "cannot go back"
+    "if the autopilot ran before this simulator started, restart it and the proxy: the autopilot's "
+    "clock cannot go back"
 )
 FIRST_MESSAGE_TIMEOUT_S = 5.0  # after this a connected peer that only listens is served too
 FIRST_ANSWER_TIMEOUT_S = 15.0  # until a warning; PX4 needs 3 s to start, a busy machine 10 s
@@ -210,7 +210,9 @@ class LockstepLoop:
         if locked:
             self._progress.say(f"in lockstep from {stamp_s:.3f} s")
             if self._answer_due_s is not None and self.armed:
-                self._progress.say(f"the motors are already on; {STALE_AUTOPILOT_ADVICE}")
+                self._progress.say(
+                    f"warning: the motors are already armed; {STALE_AUTOPILOT_ADVICE}"
+                )
             self._answer_due_s = None
         else:
             self._progress.say(

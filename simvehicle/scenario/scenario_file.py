@@ -183,7 +183,9 @@ class Scenario(_Section, frozen=True):
             raise ValueError("controls need a fixedwing or multirotor without mission; remove one")
         # A quadrotor has no surfaces and is unstable without feedback.
         if kind == "multirotor" and (weave is None or controls != OpenLoopControls(weave=weave)):
-            raise ValueError("controls of a multirotor have weave only; remove the others")
+            raise ValueError(
+                "controls of a multirotor must be weave alone; add it or remove the others"
+            )
         if weave is not None and (weave.airspeed_mps is None) != (kind == "multirotor"):
             raise ValueError(
                 "controls.weave.airspeed_mps is for a fixed wing only, which needs it; "

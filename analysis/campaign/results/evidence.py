@@ -212,8 +212,8 @@ def _provenance(campaign: CampaignFile, results: Sequence[CellResult], file: str
 
 
 def repeatable_part(campaign: CampaignFile, result: CellResult) -> dict[str, object]:
-    """What a repeated flight has in common with this one: all but the wall time and the scenario's
-    folder; under an autopilot no measured number, since its own clock and link vary them."""
+    """What must be equal in a repeated flight: all but the wall time and the scenario's folder;
+    under an autopilot also without measured numbers, which its own clock and link vary."""
     fields = {**msgspec.structs.asdict(result), "wall_s": 0.0}
     if campaign.autopilot(result.cell.subject) is not None:
         fields = {key: value for key, value in fields.items() if not isinstance(value, float)}

@@ -28,7 +28,7 @@ STEADY_SHARE = 0.8  # size of the mean field over the mean size: it did not turn
 
 @dataclass(slots=True)
 class _FieldWindow:
-    """Sums of field, its size and specific force over a second, and their numbers of samples."""
+    """Sums of magnetic field, its magnitude and specific force over a second, and their counts."""
 
     number: int = 0
     field: Axis = ZERO

@@ -30,7 +30,8 @@ AGREEING_DOF = 3  # redundancy with which the satellites must agree
 JUMP_REASON = "all satellites jumped together: it is unknown which position is right"
 COASTING_REASON = "all satellites are excluded: the position is the IMU's alone, without a bound"
 FOLLOWED_REASON = (
-    "satellites or IMU are faulty: the position follows the satellites, its error is unbounded"
+    "satellites or IMU are faulty, which is unknown: the position follows the satellites, "
+    "without a bound"
 )
 
 
@@ -145,7 +146,7 @@ def common_jump_m(
     dt_s: float,
     p_agree: float,
 ) -> Vector | None:
-    """How far (3,) all satellites have jumped together, where no vehicle has, else None.
+    """How far (3,) all satellites have jumped together if no vehicle moves so far, else None.
 
     `motion` is the prediction over `dt_s`, `ranges` the verdict on it, `p_agree` the false-alarm
     probability of the test whether the satellites agree.

@@ -31,12 +31,13 @@ YOUNGEST_S = 0.5  # a younger window detects nothing that the main test does not
 
 
 class RampWindows(NamedTuple):
-    """w windows of the ramp tests over n satellites.
+    """w staggered windows of the ramp tests over n satellites.
 
-    `starts_us` (w,) is when each began (0: not yet); `d` (20, w, n + 3) are the responses of the
-    state in each to ramps of n satellites, then to accelerations along x, y, z. `sums` (5, w, n)
-    are c_r, c_o, J_rr, J_ro, J_oo of the ramps, `c` (w, 3) and `j` (w, 3, 3) those of the
-    accelerations. `offset` and `spread` (n,) are mean and variance of each satellite's offset now,
+    `starts_us` (w,) is when each began (0: not yet); `d` (20, w, n + 3) are each window's
+    responses of the filter's state to ramps of n satellites, then to accelerations along x, y, z.
+    `sums` (5, w, n) are scores and information of a ramp and an offset: c_r, c_o, J_rr, J_ro, J_oo;
+    `c` (w, 3) and `j` (w, 3, 3) those of the accelerations. `offset` and `spread` (n,) are mean and
+    variance of each satellite's range offset now,
     `offsets` and `spreads` (w, n) the same when a window began.
     """
 

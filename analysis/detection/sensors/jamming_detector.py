@@ -122,7 +122,7 @@ def _losses(
 
 
 def common_loss_db(losses_db: Iterable[float], sustained: bool = False) -> float:
-    """The median loss if all signals share it, else 0; `sustained` if they already did."""
+    """Return the median loss if all signals share it, else 0; `sustained`: they did before, too."""
     losses = sorted(losses_db)
     present = [loss for loss in losses if loss < LOST_DB]
     median_db = losses[len(losses) // 2] if len(losses) >= LEAST_SATELLITES else 0.0

@@ -32,7 +32,7 @@ from analysis.samples.block import FIX, IMU, IMU_ID, NEVER_US, Block
 SILENT = "silent for {:.2f} s"
 REPEATED = "the same value for {:.2f} s"
 FROZEN_TIME = "its timestamp is frozen, {:.2f} s behind"
-JUMPED_AHEAD = "its timestamp jumps {:.2f} s ahead"
+JUMPED_AHEAD = "its timestamp jumps forward by {:.2f} s"
 JUMPED_BACK = "its timestamp jumps back by {:.2f} s"
 LATE = "{:.2f} s late"
 SPARSE = "rate is {:.2f} of the usual"

@@ -82,7 +82,7 @@ class MessageFormat:
 def parse_format(raw: bytes, *, by_length: bool = False) -> MessageFormat | None:
     """The format in an FMT message of `FORMAT_BYTES` bytes; None if it is beyond repair.
 
-    Where the characters do not fit the length, the characters count, or the length (`by_length`).
+    If type characters and length disagree, the characters count; with `by_length`, the length.
     """
     number, length, *texts = struct.unpack("<BB4s16s64s", raw[HEAD:FORMAT_BYTES])
     name, codes, listed = (text.split(b"\0", 1)[0].decode("latin-1") for text in texts)

@@ -76,7 +76,7 @@ def _switches(recording: FlightData, th: Thresholds, armed: Windows | None) -> F
     if most < warn:
         return FlightCheck(name, PASS, f"at most {most} within {SWITCH_WINDOW_S:g} s", limit)
     end_s = float(starts_s[counts.argmax()])
-    text = f"{len(starts_s)} in all, {most} within {SWITCH_WINDOW_S:g} s up to {end_s:.1f} s"
+    text = f"{len(starts_s)} switches, {most} in the {SWITCH_WINDOW_S:g} s before {end_s:.1f} s"
     window = end_s - SWITCH_WINDOW_S, end_s
     return FlightCheck(name, FAIL if most >= fail else WARN, text, limit, (window,))
 

@@ -75,7 +75,7 @@ def _upright(record: VehicleRecord, found: VehicleOutcome) -> FlightCheck:
 
 
 def _ends_airborne(recording: FlightData, record: VehicleRecord) -> FlightCheck:
-    name, limit = "log ends on the ground", "warn: in flight; fail: falling or upside down"
+    name, limit = "landing before the log ends", "warn: in flight; fail: falling or upside down"
     motion, armed = record.motion, record.armed
     if motion is None or not motion.has_height or not armed:
         reason = "no height in the log" if armed else "the log does not say when armed"

@@ -29,7 +29,7 @@ CAUSE_S, CHAIN_SHOWN = 10.0, 5  # chosen: a cause acts within this time; events 
 LONG_GAP_S = 5.0  # chosen: across a longer gap a value is not assumed to persist
 PASS_WITHOUT_FLIGHT = {  # checks that pass on a log without a flight too
     "log is complete", "messages of the autopilot", "system status of the autopilot",
-    "GPS jamming indicator", "before arming", "log ends on the ground", "scheduler",
+    "GPS jamming indicator", "before arming", "landing before the log ends", "scheduler",
 }  # fmt: skip
 
 

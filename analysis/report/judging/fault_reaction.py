@@ -121,7 +121,10 @@ def _row(
     found: dict[str, Any] = msgspec.to_builtins(row)
     # Faults injected after the flight cannot be missed by the autopilot.
     if label.recorded and row.verdict == MISSED:
-        found |= {"verdict": NOT_JUDGED, "reason": "the autopilot could not react (recorded)"}
+        found |= {
+            "verdict": NOT_JUDGED,
+            "reason": "injected into a recording: the autopilot could not react",
+        }
     start_s = (label.start_us - recording.t0_us) * 1e-6
     end_us = label.end_us
     end_s = recording.duration_s if end_us is None else (end_us - recording.t0_us) * 1e-6

@@ -53,7 +53,7 @@ class FaultRange(Section, frozen=True):
         if self.also:
             raise ValueError(f"faults.also is not compiled for {self.fault!r}; leave it out")
         if self.value is None and self.fault not in VALUELESS:
-            raise ValueError(f"faults.value is missing for {self.fault!r}; a number or a range")
+            raise ValueError(f"faults.value is missing for {self.fault!r}; a number or [low, high]")
         fields = DROPPED if self.fault == "drop" else FIELDS
         for target in self.targets:
             if target not in fields:

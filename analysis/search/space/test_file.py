@@ -230,7 +230,10 @@ class TestFile(Section, frozen=True):
         if not self.simulated:
             self._check_compiled()
         elif self.criterion not in ("euler", "angle"):
-            raise ValueError(f"criterion: {self.criterion} is compiled for the inverse-model only")
+            raise ValueError(
+                f"criterion: {self.criterion} needs estimator inverse-model without `scenario`; "
+                "give euler or angle"
+            )
 
     def _check_compiled(self) -> None:
         for fault in self.faults:

@@ -252,7 +252,7 @@ def test_in_an_edited_recording_checks_detect_instead_of_the_autopilot(
     seen = outcome(flight("seen", jump_at_s=10.0), jump(recorded=True))
     assert fault_rows(seen) == {"jump": ("isolated", "")}
     unseen = outcome(flight("unseen"), jump(recorded=True))
-    reason = "the autopilot could not react (recorded)"
+    reason = "injected into a recording: the autopilot could not react"
     assert fault_rows(unseen) == {"jump": ("not judged", reason)}
     assert unseen.verdict == "PASS"
 

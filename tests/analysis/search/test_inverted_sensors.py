@@ -118,7 +118,7 @@ def test_a_blocked_pitot_tube_is_a_wrong_airspeed() -> None:
     [
         ({"estimator": "ekf"}, "criterion: height needs all twelve states"),
         ({"vehicle": "iris", "criterion": "airspeed"}, "needs a pitot tube"),
-        ({"scenario": {}}, "criterion: height is compiled for the inverse-model only"),
+        ({"scenario": {}}, "criterion: height needs estimator inverse-model without"),
     ],
 )
 def test_criteria_that_the_kernels_cannot_evaluate_are_refused(

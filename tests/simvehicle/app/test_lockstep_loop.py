@@ -244,10 +244,7 @@ def test_an_autopilot_that_ran_before_must_be_restarted() -> None:
                 autopilot.answer(message.time_usec, 0.5)  # armed
                 if message.time_usec > 1_100_000:
                     break
-    assert (
-        said.getvalue().count("the motors are already on; restart an autopilot that ran before")
-        == 1
-    )
+    assert said.getvalue().count("the motors are already armed; if the autopilot ran before") == 1
 
 
 def test_a_missing_first_answer_is_reported_once(monkeypatch) -> None:
@@ -255,7 +252,7 @@ def test_a_missing_first_answer_is_reported_once(monkeypatch) -> None:
     with served(Lift(), until_us=200_000) as (autopilot, _, said, _):
         for _ in autopilot.messages():
             pass
-    assert said.getvalue().count("no answer for 0.05 s; restart an autopilot that ran before") == 1
+    assert said.getvalue().count("no answer for 0.05 s; if the autopilot ran before") == 1
 
 
 def test_a_plant_fault_reaches_the_vehicle() -> None:

@@ -125,7 +125,7 @@ def test_swaying_is_refused_for_six_rotors() -> None:
 @pytest.mark.parametrize(
     ("kind", "controls", "error"),
     [
-        ("multirotor", OpenLoopControls(), "controls of a multirotor have weave only"),
+        ("multirotor", OpenLoopControls(), "controls of a multirotor must be weave alone"),
         (
             "multirotor",
             OpenLoopControls(throttle=0.5, weave=WEAVE),

@@ -94,7 +94,7 @@ DONE = {
     "time jumps ahead": (
         MagSample,
         lambda sample: replace(sample, t_us=sample.t_us + SECOND),
-        *("mag", "its timestamp jumps 1.00 s ahead", 10.0),
+        *("mag", "its timestamp jumps forward by 1.00 s", 10.0),
     ),
 }
 
@@ -194,8 +194,8 @@ def test_sensors_with_a_jumping_clock_raise_an_alarm_and_others_do_not() -> None
     found = troubles(samples)
     assert {result.sensor for result in found} == {"imu", "mag", "gps-position"}
     assert {result.reason for result in found} <= {
-        *("its timestamp jumps 0.50 s ahead", "its timestamp jumps 0.51 s ahead"),
-        *("its timestamp jumps 0.52 s ahead", "its timestamp jumps 0.69 s ahead"),
+        *("its timestamp jumps forward by 0.50 s", "its timestamp jumps forward by 0.51 s"),
+        *("its timestamp jumps forward by 0.52 s", "its timestamp jumps forward by 0.69 s"),
     }
     assert all(BEGIN_US - 20_000 <= result.t_us <= END_US for result in found)
 
