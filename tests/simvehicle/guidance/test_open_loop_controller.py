@@ -129,7 +129,7 @@ def test_swaying_is_refused_for_six_rotors() -> None:
         (
             "multirotor",
             OpenLoopControls(throttle=0.5, weave=WEAVE),
-            "controls of a multirotor have weave",
+            "controls of a multirotor must be weave",
         ),
         ("multirotor", OpenLoopControls(weave=WEAVE), "airspeed_mps is for a fixed wing"),
         (
