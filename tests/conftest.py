@@ -55,6 +55,7 @@ def browser() -> Iterator[Any]:
 
 
 WIDTHS_PX = (390, 1024, 1440)  # a telephone, a tablet on its side, a desk
+SCHEMES = ("light", "dark", "light")  # colours do not depend on the width, nor widths on colours
 
 
 @pytest.fixture(scope="session")
@@ -65,16 +66,15 @@ def find_barriers() -> Callable[[Any], list[str]]:
     def find(page: Any) -> list[str]:
         found = []
         page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
-        for scheme in ("light", "dark"):
+        for width_px, scheme in zip(WIDTHS_PX, SCHEMES, strict=True):
             page.emulate_media(color_scheme=scheme)
-            for width_px in WIDTHS_PX:
-                page.set_viewport_size({"width": width_px, "height": 900})
-                page.wait_for_timeout(200)  # the plots take the new width
-                where = f"{scheme}, {width_px} px: "
-                if page.evaluate("document.documentElement.scrollWidth > innerWidth"):
-                    found.append(where + "scrolls sideways")
-                for one in axe.run(page).response["violations"]:
-                    found += [f"{where}{one['help']}: {node['html']}" for node in one["nodes"]]
+            page.set_viewport_size({"width": width_px, "height": 900})
+            page.wait_for_timeout(200)  # the plots take the new width
+            where = f"{scheme}, {width_px} px: "
+            if page.evaluate("document.documentElement.scrollWidth > innerWidth"):
+                found.append(where + "scrolls sideways")
+            for one in axe.run(page).response["violations"]:
+                found += [f"{where}{one['help']}: {node['html']}" for node in one["nodes"]]
         return found
 
     return find

@@ -88,10 +88,10 @@ def test_a_planted_regression_turns_the_copied_job_red(
     install_package(tmp_path / "my-own")
     file, scenario = (tmp_path / "my-own" / name for name in ("my_own.py", "scenario.yaml"))
     campaign = yaml.safe_load((ROOT / "examples" / "ci" / "campaign.yaml").read_text())
-    campaign |= {"subjects": ["my-own"], "scenarios": [str(scenario)], "onsets": [8], "seeds": [1]}
-    # Two flights of 14 s instead of eighteen of 40.
+    campaign |= {"subjects": ["my-own"], "scenarios": [str(scenario)], "onsets": [4], "seeds": [1]}
+    # Two flights of 8 s instead of eighteen of 40.
     campaign |= {"durations_s": [3], "faults": [{**campaign["faults"][0], "magnitudes": [0.01]}]}
-    scenario.write_text(scenario.read_text().replace("duration_s: 30", "duration_s: 14"))
+    scenario.write_text(scenario.read_text().replace("duration_s: 20", "duration_s: 8"))
     (tmp_path / "tests").mkdir()
     (tmp_path / "tests" / "campaign.yaml").write_text(yaml.safe_dump(campaign))
     (job,) = yaml.safe_load((ROOT / "examples/ci/github.yml").read_text())["jobs"].values()

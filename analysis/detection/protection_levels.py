@@ -90,7 +90,8 @@ def bound_position(
     if len(rivals.range_m):
         used = Innovations(*map(np.concatenate, zip(used, rivals, strict=True)))
         # A system is wrong, so its prior is 1.
-        a, factors = snapshot_design(used.geometry, axes), factors[:, [0, 1, 0]]
+        a = snapshot_design(used.geometry, axes)
+        factors = np.ascontiguousarray(factors[:, [0, 1, 0]])
     weight = _weights(used, _zenith_ionosphere_m(lat, lon), share)
     v = used.range_m - used.geometry[:, :AXES] @ moved_m
     if len(rivals.range_m):

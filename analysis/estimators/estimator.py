@@ -97,7 +97,9 @@ class KernelEstimator:
 
     def update_block(self, block: Block, state: KernelState) -> tuple[Stamps, Vector, KernelState]:
         """Update with a block: stamps (m,) and q_nb (m, 4) after each IMU sample, next state."""
-        return self.filter_block(block.kind, block.t_us, block.values, state, self.tuning)
+        # A column of a table would be another type, for which all is compiled again.
+        kind, t_us = np.ascontiguousarray(block.kind), np.ascontiguousarray(block.t_us)
+        return self.filter_block(kind, t_us, block.values, state, self.tuning)
 
 
 @compiled

@@ -113,28 +113,26 @@ def kernels() -> Path:
     return place() / "kernels"
 
 
-def module_folder(module: str, source: Path) -> Path:
-    """The folder of a module's functions; those of its old sources are removed."""
-    found = kernels() / f"{module}-{source_digest(source)}"
-    note_use(found, f"{module}-*")
-    return found
+@cache
+def module_folders(module: str, source: Path) -> tuple[Path, Path | None]:
+    """The folder of a module's functions, and that in the installation, if this processor can run
+    its code."""
+    name = f"{module}-{source_digest(source)}"
+    own, ready = kernels() / name, installed() / "kernels" / name
+    note_use(own, f"{module}-*")
+    return own, ready if ready.is_dir() and runs_baseline() else None
 
 
 def note_use(found: Path, others: str) -> None:
-    """Note that a file or folder is in use; remove the others of a pattern beside it that have not
-    been for a week. Several versions of the sources may share the place."""
+    """Note that a file or folder is in use; if it is new, remove the others of a pattern beside it
+    that have not been for a week. Several versions of the sources may share the place."""
     with suppress(OSError):  # it is not there yet, or not ours
         os.utime(found)
+        return
     for old in found.parent.glob(others):
         with suppress(OSError):  # another process may remove it too
-            if old != found and old.stat().st_mtime < time.time() - STALE_S:
+            if old.stat().st_mtime < time.time() - STALE_S:
                 shutil.rmtree(old) if old.is_dir() else old.unlink()
-
-
-def installed_folder(module: str, source: Path) -> Path | None:
-    """A module's folder in the installation, if this processor can run its code."""
-    path = installed() / "kernels" / f"{module}-{source_digest(source)}"
-    return path if path.is_dir() and runs_baseline() else None
 
 
 @contextmanager

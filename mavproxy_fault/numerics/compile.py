@@ -23,12 +23,7 @@ from numba.core.types import Dispatcher
 
 from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.numerics.baseline import BASELINE
-from mavproxy_fault.numerics.code_cache import (
-    alone,
-    installed_folder,
-    kernels,
-    module_folder,
-)
+from mavproxy_fault.numerics.code_cache import alone, kernels, module_folders
 
 LOG = logging.getLogger(__name__)
 
@@ -150,10 +145,10 @@ def _at_our_level() -> Iterator[None]:
 def _jitted(function: Function, **options: bool) -> Function:
     """A dispatcher with our cache, which compiles at our level."""
     dispatcher: Any = njit(**_OPTIONS, **options)(function)
-    module, source = function.__module__, Path(function.__code__.co_filename)
-    own = _Cache(function, module_folder(module, source), installed=False)
-    found = installed_folder(module, source)
-    caches = [own, *([_Cache(function, found, installed=True)] if found else [])]
+    module = function.__module__
+    folder, ready = module_folders(module, Path(function.__code__.co_filename))
+    own = _Cache(function, folder, installed=False)
+    caches = [own, *([_Cache(function, ready, installed=True)] if ready else [])]
     compile_one = dispatcher.compile
 
     def load_or_compile(signature: Any) -> Any:

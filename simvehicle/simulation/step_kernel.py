@@ -107,14 +107,15 @@ def step(flight: Records, sensors: Records, packed: Array) -> bool:
     prepare(flight)
     f = flight[0]
     x, after = f.x[: f.states], f.after[: f.states]
-    controls, load = f.controls[: f.actuators], f.load
+    # Slices have the type of arrays from Python: one compiled form of each flight.
+    controls, around, load = f.controls[: f.actuators], f.around[:], f.load[:]
     if f.wing:
         fixedwing_flight.integrate_flight(
-            x, controls, f.around, f.substeps, f.dt, packed, after, load
+            x, controls, around, f.substeps, f.dt, packed, after, load
         )
     else:
         multirotor_flight.integrate_flight(
-            x, controls, f.around, f.substeps, f.dt, packed, after, load
+            x, controls, around, f.substeps, f.dt, packed, after, load
         )
     for i in range(f.states):
         x[i] = after[i]

@@ -9,7 +9,7 @@ import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from mavproxy_fault.numerics.arrays import Array
-from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.compile import compiled, constant, inlined
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.vehicles.battery_kernel import BatterySupply, battery_output
 from simvehicle.vehicles.contact_kernel import Gear, contact_loads
@@ -37,6 +37,7 @@ _BRAKE_FRICTION = 0.4  # friction coefficient along the body while the throttle 
 # Index of the drawn charge, and length of a state
 CHARGE_DRAWN, STATE_SIZE = RIGID_SIZE, RIGID_SIZE + 1
 ELEVATOR, AILERON, RUDDER, THROTTLE = range(4)  # indices of the controls
+_NOW = constant(0)  # the stage at the beginning of a step
 _BODY = len(Inertia._fields)
 _AERO = len(Aero._fields)
 _SUPPLY = len(BatterySupply._fields)
@@ -153,7 +154,7 @@ def integrate_flight(
     s = to_fixed_tuple(x[:RIGID_SIZE], RIGID_SIZE)
     for _ in range(steps):
         s = runge_kutta_step(s, _loads, given, g, body, dt)
-    fx, fy, fz, _mx, _my, _mz = _loads(s, 0, given)
+    fx, fy, fz, _mx, _my, _mz = _loads(s, _NOW, given)
     _, _, _, u, v, w, e0, e1, e2, e3, _, _, _ = s
     wx, wy, wz = to_body(e0, e1, e2, e3, wind[0], wind[1], wind[2])
     airspeed = np.sqrt((u - wx) ** 2 + (v - wy) ** 2 + (w - wz) ** 2)

@@ -14,7 +14,7 @@ import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from mavproxy_fault.numerics.arrays import Array
-from mavproxy_fault.numerics.compile import compiled, inlined
+from mavproxy_fault.numerics.compile import compiled, constant, inlined
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.vehicles.battery_kernel import BatterySupply, battery_output
@@ -71,6 +71,7 @@ class _LoadInputs(NamedTuple):
     wheels: Gear
 
 
+_NOW = constant(0)  # the stage at the beginning of a step
 _BODY = len(Inertia._fields)
 _FRAME = len(Airframe._fields)
 _SUPPLY = len(BatterySupply._fields)
@@ -230,7 +231,7 @@ def integrate_flight(
         for i in range(n):
             speeds[0, i] = speeds[2, i]
     # After the last step the stage 0 speeds are the current ones.
-    f = _loads(s, 0, given)
+    f = _loads(s, _NOW, given)
     for i in range(RIGID_SIZE):
         after[i] = s[i]
     for i in range(3):

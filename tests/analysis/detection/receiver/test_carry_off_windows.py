@@ -59,11 +59,17 @@ def apart_m(one: Decision, same: Decision) -> float:
     return float(np.linalg.norm(np.subtract(one.position_ecef_m, same.position_ecef_m)))
 
 
+@pytest.fixture(scope="module")
+def clean(without_ranges: list[Sample]) -> list[Decision]:
+    """What is decided of the flight that nobody carries off."""
+    return decided(without_ranges)
+
+
 @pytest.mark.parametrize("speed_mps", [1.0, 1.3, 5.0])
 def test_a_carry_off_is_detected_within_three_seconds_and_removed(
-    speed_mps: float, without_ranges: list[Sample]
+    speed_mps: float, without_ranges: list[Sample], clean: list[Decision]
 ) -> None:
-    clean, found = decided(without_ranges), decided(spoofed(without_ranges, speed_mps))
+    found = decided(spoofed(without_ranges, speed_mps))
     first = next(i for i, decision in enumerate(found) if decision.alarm)
     assert FROM_US <= found[first].t_us < FROM_US + 3_000_000
     assert {decision.hypothesis for decision in found if decision.alarm} == {"gps"}
@@ -74,9 +80,9 @@ def test_a_carry_off_is_detected_within_three_seconds_and_removed(
 
 @pytest.mark.parametrize("speed_mps", [1.0, 5.0])
 def test_the_receiver_is_readmitted_after_the_spoofing_and_not_because_the_filter_drifts(
-    speed_mps: float, without_ranges: list[Sample]
+    speed_mps: float, without_ranges: list[Sample], clean: list[Decision]
 ) -> None:
-    clean, found = decided(without_ranges), decided(spoofed(without_ranges, speed_mps))
+    found = decided(spoofed(without_ranges, speed_mps))
     first = next(decision.t_us for decision in found if decision.alarm)
     readmitted_us = UNTIL_US + round(DetectorConfig().readmit_s * 1e6)
     for decision in found:
@@ -89,9 +95,8 @@ def test_the_receiver_is_readmitted_after_the_spoofing_and_not_because_the_filte
 
 
 def test_a_position_from_the_imu_alone_soon_has_no_bound(
-    without_ranges: list[Sample],
+    without_ranges: list[Sample], clean: list[Decision]
 ) -> None:
-    clean = decided(without_ranges)
     found = decided(spoofed(without_ranges, 5.0))
     carried = [(d, c) for d, c in zip(found, clean, strict=True) if "GPS" in d.excluded]
     assert all(apart_m(d, c) < 2.0 for d, c in carried if d.position_sigma_m is not None)
@@ -113,9 +118,8 @@ def test_a_faulty_accelerometer_raises_an_alarm_and_the_receiver_is_not_isolated
 
 @pytest.mark.parametrize("growth_mps2", [0.5, 1.0, 2.0])
 def test_a_slowly_growing_drag_ends_the_bound_before_it_matters(
-    growth_mps2: float, without_ranges: list[Sample]
+    growth_mps2: float, without_ranges: list[Sample], clean: list[Decision]
 ) -> None:
-    clean = decided(without_ranges)
     found = decided(spoofed(without_ranges, 0.0, growth_mps2=growth_mps2))
     dragged = [(d, c) for d, c in zip(found, clean, strict=True) if FROM_US <= d.t_us < UNTIL_US]
     assert "imu" not in {decision.hypothesis for decision, _ in dragged}
@@ -166,7 +170,7 @@ def test_a_faster_carry_off_isolates_the_receiver_or_is_undecided_and_unbounded(
     assert all(decision.position_sigma_m is None for decision in undecided)
 
 
-@pytest.mark.parametrize("seed", [3, 4, 5])
+@pytest.mark.parametrize("seed", [3, 4])
 def test_a_clean_flight_has_no_carry_off(seed: int, flights: Flights) -> None:
     samples = [s for s in flights(FLOWN_S, seed, with_fix=True) if not isinstance(s, Epoch)]
     assert {decision.hypothesis for decision in decided(samples)} == {"none"}
