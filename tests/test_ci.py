@@ -136,10 +136,15 @@ def test_the_action_installs_its_own_checkout(tmp_path: Path) -> None:
         program.write_text('#!/bin/sh\necho "$@"\n')
         program.chmod(0o755)
     variables = {"RUNNER_TEMP": str(tmp_path), "GITHUB_ACTION_PATH": "/the/checkout"}
-    for version, installed in (("", "/the/checkout"), ("./mine", "./mine")):
+    cases = (
+        ("", "", "/the/checkout"),
+        ("./mine", "", "./mine"),
+        ("", ". other", "/the/checkout . other"),
+    )
+    for version, packages, installed in cases:
         done = subprocess.run(
             ["bash", "-eo", "pipefail", "-c", script],
-            env={**os.environ, **variables, "VERSION": version},
+            env={**os.environ, **variables, "VERSION": version, "PACKAGES": packages},
             capture_output=True,
             text=True,
             check=True,

@@ -123,7 +123,7 @@ def describe_size(size: CampaignSize) -> str:
     most = "" if size.is_exact else "at most "
     return (
         f"{size.name}: {most}{size.cells} cells in {size.flights} flights of {size.flight_s:g} s, "
-        f"about {format_duration(size.duration_s)} on {size.workers} workers"
+        f"about {format_duration(size.duration_s)} on {size.workers} free processors"
     )
 
 

@@ -142,9 +142,10 @@ def _faults(rows: list[Mapping[str, Any]]) -> Table:
     table = plain_table("fault", "target", *numbers, "isolated", "verdict", right=numbers)
     for row in rows:
         word = row["verdict"]
+        first, *others = row["target"].split(", ")
         table.add_row(
             row["id"],
-            row["target"],
+            f"{first} and {len(others)} more" if len(others) > 1 else row["target"],
             f"{row['start_s']:.1f}",
             "" if row["end_s"] is None else f"{row['end_s']:.1f}",
             str(row["frames"]),

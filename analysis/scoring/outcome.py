@@ -142,7 +142,7 @@ def _outcome(
         id=label.id,
         fault=label.fault,
         preset=label.preset,
-        target=f"{label.fault} by the {label.by}" if label.by else ", ".join(label.targets),
+        target=f"{label.fault} by the {label.by}" if label.by else label.describe_target(),
         start_s=_seconds(label, label.start_us),
         end_s=None if label.end_us is None else _seconds(label, label.end_us),
         frames=label.frames,

@@ -136,6 +136,8 @@ KNOWN_NAMES = {
     "FAULT": ("mavproxy_fault.app.catalogue", "fault_and_preset_names"),
     "MSG.FIELD": ("mavproxy_fault.wire.dialect", "message_names"),
     "ESTIMATORS": ("analysis.estimators", "estimator_names"),
+    "REQUIREMENT": ("analysis.scoring.requirements", "ready_requirements"),
+    "FORMULA|NAME": ("analysis.scoring.requirements", "ready_requirements"),
 }
 YAML_FILES = ("*.yaml", "*.yml")
 FILE_PATTERNS = {

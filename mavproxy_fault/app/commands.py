@@ -48,6 +48,7 @@ def add_proxy(commands: Any) -> None:
     option("--rflysim PORT", "UDP port for RflySim's fault packets", type=int)
     option("--rflysim-map YAML", "map of its fault ids (default: built-in)")
     _add_signing(parser)
+    add_json(parser)
     parser.set_defaults(main=_proxy)
 
 

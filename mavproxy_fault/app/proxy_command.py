@@ -7,11 +7,13 @@ import logging
 import os
 import signal
 import socket
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any
 
+from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.app.resource_check import check_resources
 from mavproxy_fault.app.server import Server
@@ -225,15 +227,16 @@ def main(args: argparse.Namespace) -> int:
         with stop_on_signals(server) as wake:
             others = ", ".join(link.name for link in links[1:])
             with contextlib.suppress(OSError):  # a full disk must not stop the proxy
-                print(f"ready: {links[0].name} <-> {others}", flush=True)
+                where = sys.stderr if args.json else sys.stdout
+                print(f"ready: {links[0].name} <-> {others}", file=where, flush=True)
             if not by_name:
                 start_live(args, engine, server)
             server.run(wake)
         # Before closing, which loses the kernel's drop count.
-        statistics = format_endpoints(server.stats())
+        statistics = server.stats()
     finally:
         # Also after an error, to free the ports.
         for link in links:
             link.close()
-    print(statistics, flush=True)
+    print_result(args, statistics, format_endpoints(statistics))
     return 0

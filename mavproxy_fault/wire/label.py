@@ -39,6 +39,11 @@ class Label(msgspec.Struct, frozen=True, omit_defaults=True, kw_only=True):
     clock: str = ""
     by: str = ""  # "autopilot" if the vehicle itself failed the unit, at MAV_CMD_INJECT_FAILURE
 
+    def describe_target(self) -> str:
+        """What the fault changes: its targets, or in words what it changes without one."""
+        whole = {"gps-spoof": "all positions", "command": "the vehicle"}
+        return ", ".join(self.targets) or whole.get(self.fault, "the link")
+
 
 def read_labels(path: Path) -> list[Label]:
     """Read the latest label of each activation, by start time; a truncated last line is ignored.

@@ -37,10 +37,8 @@ class SubjectScore(msgspec.Struct, frozen=True):
     def describe(self) -> str:
         """Return the score in a line."""
         share = f"{self.passed / self.flown:.3f}" if self.flown else "none"
-        return (
-            f"score    {self.subject} {share} ({self.low:.3f} to {self.high:.3f}), {self.passed} "
-            f"of {self.flown} cells"
-        )
+        bounds = f"({self.low:.3f} to {self.high:.3f} at 95 %)"
+        return f"score    {self.subject} {share} {bounds}, {self.passed} of {self.flown} cells"
 
 
 def score_subjects(campaign: CampaignFile, results: Sequence[CellResult]) -> list[SubjectScore]:

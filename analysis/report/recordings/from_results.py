@@ -91,7 +91,7 @@ def _injected(label: Label, results: Sequence[Result], t0_us: int) -> Span:
     # A fault without end lasts until the last result.
     last_us = results[-1].t_us if results else label.start_us
     end_us = last_us if label.end_us is None else label.end_us
-    text = f"{label.preset or label.fault} on {', '.join(label.targets) or 'the link'}"
+    text = f"{label.preset or label.fault} on {label.describe_target()}"
     if label.by:
         text = f"{label.fault} by the {label.by} itself"
     begin_s, end_s = ((t_us - t0_us) * 1e-6 for t_us in (label.start_us, end_us))

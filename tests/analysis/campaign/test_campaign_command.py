@@ -245,7 +245,7 @@ def test_the_estimated_duration_accounts_for_autopilots(tmp_path, monkeypatch, c
     file = HERE.parents[2] / "examples" / "campaign_px4.yaml"
     assert cli.main(["campaign", str(file), "--dry-run", "--workers", "2"]) == 0
     assert capsys.readouterr().out.endswith(
-        "60 cells in 61 flights of 26 s, about 13 min on 2 workers\n"
+        "60 cells in 61 flights of 26 s, about 13 min on 2 free processors\n"
     )
 
 

@@ -83,7 +83,8 @@ def bash_completion() -> str:
      ("faults check a", ["a_schedule.yaml", "a_folder"]), ("report a", ["a.tlog", "a_folder"]),
      ("faults show gyro-b", ["gyro-bias"]), ("inject gyro-b", ["gyro-bias"]),
      ("inject x --target HIL_SENS", ["HIL_SENSOR"]), ("search x --method so", ["sobol"]),
-     ("run --estimators com", ["complementary"])],
+     ("run --estimators com", ["complementary"]),
+     ("search x --violate knows_its_p", ["knows_its_place"])],
 )  # fmt: skip
 def test_bash_completes_a_partial_argument(
     tmp_path: Path, bash_completion: str, typed: str, offered: list[str]
@@ -119,7 +120,7 @@ def test_a_command_without_its_subcommand_shows_the_help(
 
 def test_every_command_with_a_result_prints_it_as_json() -> None:
     # They run until they are ended, serve, or print nothing but their progress or JSON.
-    others = {"proxy", "sim", "ui", "ardupilot", "warm-up", "schema"}
+    others = {"sim", "ui", "ardupilot", "warm-up", "schema"}
     every = [one for one in parsers(build_parser()) if one._subparsers is None]
     without = {one.prog.split()[-1] for one in every if "--json" not in one._option_string_actions}
     assert without == others

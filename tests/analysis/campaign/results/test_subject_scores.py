@@ -38,7 +38,7 @@ def test_aborted_cells_do_not_count_and_the_monitor_scores_by_what_it_isolated()
     ekf, monitor = score_subjects(campaign, results)
     assert (ekf.passed, ekf.flown) == (1, 2)
     assert (monitor.passed, monitor.flown) == (1, 3)
-    assert ekf.describe().startswith("score    ekf 0.500 (0.013 to 0.987), 1 of 2 cells")
+    assert ekf.describe().startswith("score    ekf 0.500 (0.013 to 0.987 at 95 %), 1 of 2 cells")
 
 
 def test_subjects_do_not_change_the_hash_and_conditions_do(tmp_path: Path) -> None:
