@@ -206,6 +206,25 @@ def chain_of(count: int, rng: np.random.Generator) -> np.ndarray:
     return lost
 
 
+def states_of(count: int, rng: np.random.Generator) -> np.ndarray:
+    """Whether each frame is lost by `loss state 3% 10% 20% 40% 1%` of netem."""
+    chain = np.array([[0.96, 0, 0.03, 0.01], [0, 0.6, 0.4, 0], [0.1, 0.2, 0.7, 0], [1.0, 0, 0, 0]])
+    steps, states, state = chain.cumsum(axis=1), np.zeros(count, int), 0
+    for n, u in enumerate(rng.random(count)):
+        state = states[n] = int(np.searchsorted(steps[state], u, side="right"))
+    return states >= 2
+
+
+def reorder_of(count: int, rng: np.random.Generator) -> np.ndarray:
+    """The delays of netem's `delay 100ms reorder 50% gap 4`."""
+    late, passed = np.full(count, 0.1), 0
+    for n, u in enumerate(rng.random(count)):
+        passed += 1
+        if passed >= 4 and u < 0.5:
+            late[n], passed = 0.0, 0
+    return late
+
+
 def rate_of(times: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """The delays of netem's `rate` with an overhead."""
     free_s, late = 0.0, np.zeros(len(times))
@@ -221,6 +240,7 @@ def compare_with_netem(seconds: float) -> float:
     worst = 0.0
     jitter = {"fault": "jitter", "keep_order": False}
     rate = {"fault": "rate-limit", "value": RATE, "unit": "bytes", "overhead_bytes": OVERHEAD}
+    states = {"p13": 0.03, "p31": 0.1, "p32": 0.2, "p23": 0.4, "p14": 0.01}
     chain = {"to_bad": 0.02, "to_good": 0.2, "loss_good": 0.01, "loss_bad": 0.8}
     models: dict[str, tuple[dict[str, Any], Any]] = {
         "delay 100ms": (
@@ -254,6 +274,14 @@ def compare_with_netem(seconds: float) -> float:
         "loss gemodel": (
             {"fault": "gilbert-elliott", **chain},
             lambda t, s: (chain_of(len(t), rng), np.zeros(len(t))),
+        ),
+        "loss state": (
+            {"fault": "four-state-loss", **states},
+            lambda t, s: (states_of(len(t), rng), np.zeros(len(t))),
+        ),
+        "reorder 50% gap 4": (
+            {"fault": "reorder", "value": 0.5, "by_s": 0.1, "gap": 4},
+            lambda t, s: (None, reorder_of(len(t), rng)),
         ),
         "rate": ({**rate, "queue_s": 1e6}, lambda t, s: (None, rate_of(t, s))),
     }  # fmt: skip

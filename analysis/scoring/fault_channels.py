@@ -94,13 +94,14 @@ SENSOR_GROUPS = {"accel": IMU, "gyro": IMU, "mag": MAG, "baro": BARO, "airspeed"
 # Faults that act on the link's bytes and frames, whatever their content
 LOSS_FAULTS = (
     *("outage", "drop", "burst-loss", "gilbert-elliott", "rate-limit", "corrupt", "truncate"),
-    *("sequence-gap", "bit-errors", "radio"),
+    *("sequence-gap", "bit-errors", "radio", "four-state-loss"),
 )
 LATE_FAULTS = ("delay", "jitter")  # a stream is silent while its frames are late
 LINK_UNITS = ("mavlink-", "datalink-")  # failures of the autopilot's own link
 HARMLESS_FAULTS = {  # no channel should react to these
     "command": "a command to the vehicle falsifies nothing",
     "duplicate": "a repeated frame is unchanged",
+    "slice": "the frames arrive whole",
 }
 RECEIVER_PLANT_FAULT = re.compile(
     r"receiver_off|(cn0_drop_db|pseudorange_m|range_rate_mps|satellite_lost|spoof_\w+)\[\w+\]"

@@ -122,6 +122,47 @@ class GilbertElliott(RuleLinkFault, frozen=True, kw_only=True):
 
 
 @link_rule
+def lose_in_lossy_states(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
+    """Change the state at random, then lose the frame in the states 3 and 4 (`m[1]` 2 and 3)."""
+    state, to_burst, to_gap, to_passing, to_losing, to_single = m[1], p[0], p[1], p[2], p[3], p[4]
+    if state == 0.0:
+        state = 3.0 if u < to_single else 2.0 if u < to_single + to_burst else 0.0
+    elif state == 1.0:
+        state = 2.0 if u < to_losing else 1.0
+    elif state == 2.0:
+        state = 1.0 if u < to_passing else 0.0 if u < to_passing + to_gap else 2.0
+    else:
+        state = 0.0
+    m[1] = state
+    return LOST if state >= 2.0 else 0
+
+
+class FourStateLoss(RuleLinkFault, frozen=True, kw_only=True):
+    """Drop single frames and bursts in which some frames pass: netem's `loss state`.
+
+    In the states 1 and 2 frames pass, in the gap between bursts and within one; in 3 and 4 they are
+    lost, within a burst and alone. `p13` is the probability per frame to go from state 1 to 3, and
+    so on (Salsano, Ludovici and Ordine, University of Rome, 2012; tc-netem(8)).
+    """
+
+    name: ClassVar[str] = "four-state-loss"
+    example: ClassVar[dict[str, Any]] = {"p13": 0.1, "p31": 0.3, "p32": 0.3, "p23": 0.4}
+    rule = staticmethod(lose_in_lossy_states)
+    parameters: ClassVar[tuple[str, ...]] = ("p13", "p31", "p32", "p23", "p14")
+    remembers: ClassVar[int] = 2
+
+    p13: Share = 0.01
+    p31: Share = 0.2
+    p32: Share = 0.0
+    p23: Share = 1.0
+    p14: Share = 0.0
+
+    def __post_init__(self) -> None:
+        if max(self.p13 + self.p14, self.p31 + self.p32) > 1.0:
+            raise ValueError("p13 + p14 and p31 + p32 must not exceed 1")
+
+
+@link_rule
 def lose_burst(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
     """Lose the frame if a burst goes on or begins; `m[1]` frames of it remain."""
     if not m[1] and u < p[0]:

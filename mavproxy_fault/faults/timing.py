@@ -144,19 +144,42 @@ def read_samples(file: Path) -> tuple[float, ...]:
     )
 
 
+@link_rule
+def overtake(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
+    """Delay the chosen frames; with a gap all others, after `m[3]` of them."""
+    share, by_us, correlation, gap = p[0], p[1], p[2], p[3]
+    if correlation:
+        u = repeated_draw(u, v, correlation, m[1:])
+    chosen = share >= 1.0 or u < share
+    if not gap:
+        return int(by_us) if chosen else 0
+    m[3] += 1.0
+    if m[3] < gap or not chosen:
+        return int(by_us)
+    m[3] = 0.0
+    return 0
+
+
 class Reorder(RuleLinkFault, frozen=True, kw_only=True):
-    """Delay a fraction `value` of the frames by `by_s`, so that later ones overtake them."""
+    """Delay a fraction `value` of the frames by `by_s`, so that later ones overtake them.
+
+    With the probability `correlation` a frame shares the choice of the one before. `gap` makes it
+    netem's reorder: all frames are delayed but for a fraction `value` of every `gap`-th.
+    """
 
     name: ClassVar[str] = "reorder"
     example: ClassVar[dict[str, Any]] = {"value": 0.2, "by_s": 0.02}
-    rule = staticmethod(choose_share)
+    rule = staticmethod(overtake)
+    remembers: ClassVar[int] = 4
 
     value: Share = 0.1
     by_s: Seconds = 0.05
+    correlation: Correlation = 0.0
+    gap: Annotated[int, Meta(ge=0)] = 0
 
     def numbers(self) -> Numbers:
-        """Return share and delay."""
-        return self.value, float(round(self.by_s * 1e6))
+        """Return share, delay, correlation and gap."""
+        return self.value, float(round(self.by_s * 1e6)), self.correlation, float(self.gap)
 
 
 class Duplicate(RuleLinkFault, frozen=True, kw_only=True):

@@ -32,6 +32,7 @@ class Stream:
     ) -> None:
         self.fileno = fileno
         self.open = True  # False while a TCP connection is being established
+        self.piece: int | None = None  # bytes that one call may send; None for all
         self._read, self._write = calls  # of a socket or a file: they differ on Windows
         self._descriptors = descriptors
         self._counters = counters
@@ -48,8 +49,8 @@ class Stream:
 
     @property
     def has_pending(self) -> bool:
-        """Whether data are still to be sent."""
-        return bool(self._queue)
+        """Whether data are still to be sent, or sent in pieces only."""
+        return bool(self._queue) or self.piece is not None
 
     def write(self, data: bytes, chunks: int = 1) -> None:
         """Send, or queue what the kernel does not accept; drop entire chunks beyond the limit."""
@@ -68,7 +69,7 @@ class Stream:
         while queue:
             data, chunks = queue[0]
             try:
-                sent = self._write(data)
+                sent = self._write(data[: self.piece])
             except OSError:  # buffer full, or connection lost, which the next read detects
                 break
             self._queued -= sent

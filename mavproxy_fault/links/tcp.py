@@ -53,15 +53,16 @@ def _stream(sock: socket.socket, descriptors: Descriptors, counters: LinkCounter
     return Stream(sock.fileno(), (sock.recv, sock.send), descriptors, counters, empty_is_end=True)
 
 
-def _end(sock: socket.socket, how: str) -> None:
-    """End a connection; the next read finds that, and closes the socket.
+def _interrupt(sock: socket.socket, stream: Stream, how: str | int) -> None:
+    """End a connection, which the next read finds, or send in pieces of so many bytes.
 
     Closing a socket that does not linger sends a reset, unless it was shut down for writing.
     """
+    stream.piece = how if isinstance(how, int) else None
     with contextlib.suppress(OSError):  # already lost
         if how == "closed":
             sock.shutdown(socket.SHUT_RDWR)
-        else:
+        elif how in ("reset", "refused"):
             sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             sock.shutdown(socket.SHUT_RD)
 
@@ -94,8 +95,8 @@ class TcpServer:
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self._descriptors.add(self._listener.fileno())
 
-    def interrupt(self, how: str) -> None:
-        """Let connections end as a fault asks, `kept` to go on; repeated while it is active."""
+    def interrupt(self, how: str | int) -> None:
+        """Treat connections as a fault asks, `kept` to go on; repeated while it is active."""
         refused = self._listener.fileno() < 0
         if how == "refused" and not refused:
             self._accept_paused_until_s = None
@@ -107,8 +108,8 @@ class TcpServer:
                 self._listen(self._address)
             except OSError as error:  # tried again at the next call
                 self._warn_once(f"cannot listen again: {error}")
-        for sock, _, _ in self._peers.values() if how != "kept" else ():
-            _end(sock, how)
+        for sock, stream, _ in self._peers.values():
+            _interrupt(sock, stream, how)
 
     @property
     def peer_count(self) -> int:
@@ -260,12 +261,12 @@ class TcpClient(ReopenedLink):
         self._warned = False
         self._reopen()
 
-    def interrupt(self, how: str) -> None:
-        """Let the connection end as a fault asks, `kept` to go on; repeated while it is active."""
-        if how != "kept":
+    def interrupt(self, how: str | int) -> None:
+        """Treat the connection as a fault asks, `kept` to go on; repeated while it is active."""
+        if self._peer is not None:
+            _interrupt(*self._peer, how)
+        if how in ("closed", "reset", "refused"):
             self._retry_s = time.monotonic() + REOPEN_S
-            if self._peer is not None:
-                _end(self._peer[0], how)
 
     def _open(self) -> tuple[socket.socket, Stream]:
         try:

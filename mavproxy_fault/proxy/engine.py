@@ -211,12 +211,12 @@ class Engine:
         self._index()
 
     @property
-    def interrupted(self) -> dict[int, str]:
+    def interrupted(self) -> dict[int, str | int]:
         """What active faults do to connections, by the links (a bit mask)."""
-        found: dict[int, str] = {}
+        found: dict[int, str | int] = {}
         for running in self._all:
             how = getattr(running.fault, "connection", "kept") if running.active else "kept"
-            if how != "kept" and (running.frames or not running.fault.after_bytes):
+            if how != "kept" and (running.frames or not getattr(running.fault, "after_bytes", 0)):
                 found[running.endpoint_links] = how
         return found
 

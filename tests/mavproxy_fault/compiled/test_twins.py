@@ -70,6 +70,8 @@ LINK_FAULTS: list[dict[str, Any]] = [
     {"fault": "delay", "value": 0.012}, {"fault": "delay", "value": 0.02, "keep_order": True},
     {"fault": "drop", "value": 0.4, "clock": "vehicle"},
     {"fault": "reorder", "value": 0.4, "by_s": 0.03},
+    {"fault": "reorder", "value": 0.7, "by_s": 0.03, "correlation": 0.4, "gap": 3},
+    {"fault": "four-state-loss", "p13": 0.2, "p31": 0.3, "p32": 0.4, "p23": 0.5, "p14": 0.1},
     {"fault": "jitter", "value": 0.02},
     {"fault": "jitter", "value": 0.01, "distribution": "normal"},
     {"fault": "jitter", "value": 0.01, "distribution": "normal", "correlation": 0.4},

@@ -4,8 +4,10 @@ import itertools
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
@@ -42,6 +44,24 @@ def test_losses_of_a_bad_channel_come_in_clusters_of_their_mean_length() -> None
     assert len(lost) / 20_000 == pytest.approx(0.02 / 0.22, rel=0.3)
 
 
+def test_four_states_lose_their_share_in_bursts_of_their_length() -> None:
+    keys = {"p13": 0.03, "p31": 0.1, "p32": 0.2, "p23": 0.4, "p14": 0.01}
+    count = 40_000
+    passed = np.zeros(count, bool)
+    passed[[i for i, _, _ in run({"fault": "four-state-loss", **keys}, count)]] = True
+    chain = np.array([
+        [0.96, 0, 0.03, 0.01], [0, 0.6, 0.4, 0], [0.1, 0.2, 0.7, 0], [1, 0, 0, 0],
+    ])  # fmt: skip
+    steady = np.linalg.matrix_power(chain, 10_000)[0]
+    # A loss is followed by another one only within a burst.
+    again = steady[2] * 0.7 / (steady[2] + steady[3])
+    lost = ~passed
+    assert lost.mean() == pytest.approx(steady[2:].sum(), rel=0.06)
+    assert (lost[1:] & lost[:-1]).sum() / lost.sum() == pytest.approx(again, rel=0.04)
+    with pytest.raises(ConfigError, match="must not exceed 1"):
+        run({"fault": "four-state-loss", "p13": 0.6, "p14": 0.5}, 1)
+
+
 def test_a_burst_drops_its_number_of_frames() -> None:
     left = {i for i, _, _ in run({"fault": "burst-loss", "value": 0.01, "frames": 7}, 2000)}
     lost = [i for i in range(2000) if i not in left]
@@ -76,6 +96,23 @@ def test_reordered_frames_are_overtaken() -> None:
     order = [i for i, late, _ in sorted(sent, key=lambda row: row[0] * STEP_US + row[1])]
     assert sorted(order) == list(range(200))
     assert order != sorted(order)
+
+
+def test_with_a_gap_each_so_many_th_frame_overtakes_the_others() -> None:
+    late = [us for _, us, _ in run({"fault": "reorder", "value": 1, "by_s": 0.02, "gap": 5}, 15)]
+    assert late == [20_000, 20_000, 20_000, 20_000, 0] * 3
+    share = {"fault": "reorder", "value": 0.5, "by_s": 0.02, "gap": 4}
+    times = [i for i, us, _ in run(share, 8000) if not us]
+    # After three delayed frames the next one leaves at once with a probability of a half.
+    assert np.diff(times).min() == 4
+    assert np.diff(times).mean() == pytest.approx(5, abs=4 * math.sqrt(2 / len(times)))
+
+
+def test_reordering_is_correlated_as_asked() -> None:
+    fault = {"fault": "reorder", "value": 0.3, "by_s": 0.02, "correlation": 0.6}
+    late = [us > 0 for _, us, _ in run(fault, 20_000)]
+    assert np.mean(late) == pytest.approx(0.3, abs=0.03)
+    assert np.corrcoef(late[1:], late[:-1])[0, 1] == pytest.approx(0.6, abs=0.05)
 
 
 def test_duplicates_are_the_same_bytes() -> None:

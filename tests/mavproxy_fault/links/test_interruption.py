@@ -85,6 +85,33 @@ def test_new_connections_are_refused_until_the_fault_ends() -> None:
     server.close()
 
 
+def test_a_sliced_stream_arrives_in_pieces_and_in_order() -> None:
+    server = TcpServer("127.0.0.1", 0)
+    with connected(server) as peer:
+        server.interrupt(7)
+        assert server.lone_peer() is None  # machine code would write it whole
+        server.write(bytes(range(20)))
+        server.write(bytes(range(20, 30)))
+        pieces = []
+        while sum(map(len, pieces)) < 30:
+            pieces.append(peer.recv(100))  # the next pieces leave at the next read
+            server.read()
+        assert len(pieces[0]) == 7
+        assert len(pieces) > 2
+        assert b"".join(pieces) == bytes(range(30))
+        server.interrupt("kept")
+        assert server.lone_peer() is not None
+    server.close()
+
+
+def test_a_slice_is_labelled_and_leaves_frames_whole_in_the_recording() -> None:
+    got, core = passed([{"fault": "slice", "value": 9, "at_s": 1, "where": {"endpoint": 1}}])
+    assert got == [[], [0, 1, 2, 3, 4, 5], [0, 1, 2, 3, 4, 5]]
+    assert core.drain_labels()[-1].fault == "slice"
+    engine: Any = core.engine
+    assert engine.interrupted == {2: 9}
+
+
 def test_an_interrupted_client_connects_again_after_the_fault() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         client = TcpClient("127.0.0.1", listener.getsockname()[1])
