@@ -7,14 +7,14 @@ from analysis.detection.filter.inertial import CLOCK, DRIFT, ERROR_SIZE, ISB, PS
 FREE_POSITION_M = 300.0
 FREE_SPEED_MPS = 30.0
 FREE_TILT_RAD = 0.3
-FREE_CLOCK_M = 1000.0  # larger jumps are removed before
+CLOCK_JUMP_M = 1000.0  # a larger jump on most satellites is a receiver that set its clock: removed
 FREE_DRIFT_MPS = 100.0
 
 
 def free_clock(motion: MotionEstimate) -> MotionEstimate:
     """The filter with its clock forgotten: jumps of the receiver's clock are states."""
     p = motion.p.copy()
-    p[CLOCK, CLOCK] += FREE_CLOCK_M**2
+    p[CLOCK, CLOCK] += CLOCK_JUMP_M**2
     p[DRIFT, DRIFT] += FREE_DRIFT_MPS**2
     return motion._replace(p=p)
 
@@ -23,7 +23,7 @@ def free_system_clocks(motion: MotionEstimate) -> MotionEstimate:
     """The filter with the systems' offsets forgotten; which clock left is not asked."""
     motion = free_clock(motion)
     p = motion.p.copy()
-    p[range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] += FREE_CLOCK_M**2
+    p[range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] += CLOCK_JUMP_M**2
     return motion._replace(p=p)
 
 

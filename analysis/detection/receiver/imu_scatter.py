@@ -16,7 +16,7 @@ LEAST_SAMPLES, LEARNED_FIXES, MEMORY_FIXES = 4, 10, 60  # chosen
 # Of a mean square, logarithmic: 50 times the usual noise. The turns of a wing reach 27 at 100 Hz,
 # spikes and touchdowns 88 or more.
 LARGEST_GAIN = np.log(2500.0)
-QUIETEST = 1e-18  # far below the resolution of any IMU
+QUIETEST = 1e-18  # a variance of a value that repeats: far below the resolution of any sensor
 
 
 class ImuScatter(NamedTuple):

@@ -13,6 +13,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from analysis.detection.detector_registry import BlockDetector, RowResults
+from analysis.detection.receiver.imu_scatter import QUIETEST
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import (
     BARO,
@@ -38,7 +39,6 @@ LEARNED_WINDOWS, MEMORY_WINDOWS = 10, 60  # before the first test, of the usual 
 CHANGE_SIGMAS, CONFIRM_WINDOWS = 8.0, 3  # windows in a row; chosen on benchmarks/instance_votes.py
 STANDARD_ERRORS = 4.0  # of the difference of two means: vibration is not the same everywhere
 NOISE_GAIN = np.log(16.0)  # of a variance: four times the usual noise, which no flight adds to one
-QUIETEST = 1e-18  # a variance, far below the resolution of any sensor: one that repeats its value
 PAIRS = tuple(combinations(range(MOST_INSTANCES), 2))
 METRES_PER_PASCAL = 0.0843  # ICAO standard atmosphere at sea level
 

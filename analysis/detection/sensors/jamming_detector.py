@@ -10,7 +10,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from analysis.detection.detector_registry import BlockDetector, RowResults
+from analysis.detection.detector_registry import REPEAT_US, BlockDetector, RowResults
 from analysis.detection.values import Value
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import EPOCH, Block
@@ -22,8 +22,8 @@ SPREAD_DB = 3.0  # between the quartiles of the losses: an obstruction spreads t
 LEAST_SATELLITES = 5  # of a band
 MEAN_S, LEARNED_S = 60.0, 4.0  # memory of the mean; age of a satellite that counts
 CONFIRM_EPOCHS = 3  # epochs, and CONFIRM_US, until it is reported
-CONFIRM_US, REPEAT_US = 300_000, 500_000  # chosen; results repeat every half second
-USUAL_US = 300_000_000  # after which the weak signals are the new normal
+CONFIRM_US = 300_000  # chosen
+OBSTRUCTED_US = 300_000_000  # after which the weak signals are the new normal
 BAND_HZ = 1e7  # wider than the channels of GLONASS, narrower than the distance of bands
 LOST_DB = 40.0  # loss of a vanished signal: tracking ends 40 dB below a strong one
 
@@ -86,7 +86,7 @@ def _add_epoch(epoch: Epoch, state: SignalState) -> tuple[float, SignalState]:
         for band, losses in _losses(cn0_now, strengths).items()
     }
     fallen_db = max(fallen.values(), default=0.0)
-    if not fallen_db or (since_us is not None and t_us - since_us > USUAL_US):
+    if not fallen_db or (since_us is not None and t_us - since_us > OBSTRUCTED_US):
         bands = dict(zip(epoch.satellites, _bands(epoch), strict=True))
         first = {name: SignalStrength(cn0_now[name], t_us, t_us, bands[name]) for name in cn0_now}
         usual = strengths if not fallen_db else {}

@@ -23,13 +23,13 @@ from analysis.detection.filter.inertial import (
 from analysis.detection.filter.lasting_errors import VarianceFactor
 from analysis.detection.filter.measurement import EpochObservation, Innovations, predict_innovations
 from analysis.detection.isolation.constellations import (
-    SEPARABLE_COST,
     SYSTEMS_CONTRADICT,
     explain_by_systems,
     group_by_system,
 )
 from analysis.detection.isolation.hypotheses import explain_by_satellites
 from analysis.detection.protection_levels import PositionBounds, bound_position
+from analysis.detection.receiver.carry_off_windows import LEAST_RATIO_LEAD
 from analysis.detection.statistics.bank import projected_weights
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.orbits.snapshot import design_matrix, systems_of
@@ -137,7 +137,7 @@ def _faulty_satellites(
         # Which of two systems moved is ambiguous in a snapshot: it must not start in between.
         systems = group_by_system(innovations.geometry)
         wholes = explain_by_systems(m, u, q, systems, config.p_false_alarm)
-        if any(whole.cost - found.cost < SEPARABLE_COST for whole in wholes):
+        if any(whole.cost - found.cost < LEAST_RATIO_LEAD for whole in wholes):
             return (), SYSTEMS_CONTRADICT
         # Three wrong of eight look like two others: the rest must test each other.
         if len(u) - len(found.subset) - unknowns < TRUSTED_START_DOF:
