@@ -76,12 +76,4 @@ def _without_sensor_verdict(result: Result, reason: str) -> Result:
 
 
 def _untested(result: SensorDecision, reason: str) -> SensorDecision:
-    return msgspec.structs.replace(
-        result,
-        statistic=None,
-        threshold=None,
-        alarm=False,
-        isolated=False,
-        reason=reason,
-        suspect="",
-    )
+    return SensorDecision(t_us=result.t_us, sensor=result.sensor, dof=result.dof, reason=reason)

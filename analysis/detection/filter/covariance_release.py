@@ -3,12 +3,10 @@
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import CLOCK, DRIFT, ERROR_SIZE, ISB, PSI
 
-# One sigma of what a prediction that was found wrong is trusted to from then on.
-FREE_POSITION_M = 300.0
-FREE_SPEED_MPS = 30.0
-FREE_TILT_RAD = 0.3
+# One sigma of what a prediction that was found wrong is trusted to from then on: 10 s of motion at
+# the speed of a fast small vehicle, a tilt just below LOST_TILT_RAD, and 0.3 ppm of a TCXO's 0.5.
+FREE_POSITION_M, FREE_SPEED_MPS, FREE_TILT_RAD, FREE_DRIFT_MPS = 300.0, 30.0, 0.3, 100.0
 CLOCK_JUMP_M = 1000.0  # a larger jump on most satellites is a receiver that set its clock: removed
-FREE_DRIFT_MPS = 100.0
 
 
 def free_clock(motion: MotionEstimate) -> MotionEstimate:

@@ -19,7 +19,7 @@ from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.linear import invert_positive_definite
 
-SHIFT_DOF = 3
+SHIFT_DOF = 3  # north, east, down
 SUSPECTED_US = 3_000_000  # how long a suspicion lasts: slow drags show within it
 MOST_WEIGHT = 150.0  # epochs, memory of the level: MEMORY_S at 5 Hz
 

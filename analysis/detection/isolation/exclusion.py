@@ -16,7 +16,7 @@ from analysis.samples.sample import Vector
 
 RETURNED_SHARE = 0.75  # of a system's satellites that look healthy once it is: some are noisy
 # A range error that is the same for so long, and this small, is multipath of a healthy satellite;
-# it is estimated. Larger ones are faults. Chosen: nothing healthy is excluded for a minute.
+# it is estimated. Larger ones are faults. So nothing healthy is excluded for a minute.
 STANDING_US, STANDING_SIGMAS = 45_000_000, 6.0
 
 
