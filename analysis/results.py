@@ -43,11 +43,11 @@ class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, g
     precision of the satellites in use come with a RINEX recording only.
     """
 
-    statistic: float | None
-    threshold: float | None
-    dof: int
-    p_value: float | None
-    alarm: bool
+    statistic: float | None = None
+    threshold: float | None = None
+    dof: int = 0
+    p_value: float | None = None
+    alarm: bool = False
     hypothesis: str
     excluded: tuple[str, ...] = ()
     unused: dict[str, str] = {}
@@ -85,10 +85,10 @@ class SensorDecision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=T
     """
 
     sensor: str
-    statistic: float | None
-    threshold: float | None
-    dof: int
-    alarm: bool
+    statistic: float | None = None
+    threshold: float | None = None
+    dof: int = 0
+    alarm: bool = False
     isolated: bool = False  # excluded from the solution; outlasts the alarm
     reason: str = ""
     suspect: str = ""
@@ -101,8 +101,6 @@ def pattern_alarm(
     return SensorDecision(
         t_us=t_us,
         sensor=sensor,
-        statistic=None,
-        threshold=None,
         dof=dof,
         alarm=True,
         isolated=isolated,

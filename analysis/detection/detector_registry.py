@@ -9,6 +9,9 @@ from analysis.results import SensorDecision
 from analysis.samples.block import Block
 
 GROUP = "mavproxy_fault.detectors"
+REPEAT_US = 500_000  # between two alarms about one fault: a reader and the report need no more
+ENDED_US = 3 * REPEAT_US  # an alarm that was not repeated for so long, twice missed, has ended
+USUAL_US = 20_000_000  # after which a lasting change of level or rate is the new usual one
 RowResults = list[tuple[int, SensorDecision]]  # each with its row of the block
 
 

@@ -6,7 +6,7 @@ from analysis.results import AttitudeError, Decision, FusedState, Result, Sensor
 from mavproxy_fault.links.bus import Bus
 
 SCHEMA = "mavfault.v1"
-EVENTS_KEPT = 100  # for late subscribers, chosen
+EVENTS_KEPT = 100  # for late subscribers: a page shows fewer
 
 
 def result_key(result: Result) -> str:

@@ -9,7 +9,7 @@ from rich.text import Text
 
 from analysis.results import AttitudeError, Decision, FusedState, Result, SensorDecision
 
-REDRAW_S = 0.2  # chosen: readable, and cheap beside the monitor
+REDRAW_S = 0.2  # readable, and cheap beside the monitor
 # age of an outdated verdict: some detectors report alarms only, and nothing when they end
 OLD_S = 3.0
 

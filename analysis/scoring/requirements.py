@@ -38,7 +38,7 @@ UNITS = {"m": "m", "mps": "m/s", "deg": "deg"}
 OF_ESTIMATOR = re.compile(r"\b([a-z]\w*)\.attitude_error_deg\b")
 MODES = re.compile(r"\bmode\s*(==|!=|not\s+in\b|in\b)\s*(\[[^\]]*\]|[\w.\"']+)")
 WORDS = re.compile(r"\b(" + "|".join(TRUTHS) + r")\b")
-LENGTH_MAX = 1000  # chosen: longer than any formula by hand; bounds the parser's depth
+LENGTH_MAX = 1000  # longer than any formula by hand; bounds the parser's depth
 
 
 class FlightSignals(NamedTuple):

@@ -27,25 +27,25 @@ VEHICLE_OUTCOMES = (
     CRASHED,
 )  # fmt: skip
 BAD_ENDS = (FLEW_AWAY, LOST_CONTROL, CRASHED)
-CRASH_MPS = 3.0  # chosen: a touchdown this fast is a crash; PX4 lands at 1.1 m/s (docs/px4.md)
-UPSET_DEG = 60.0  # chosen: beyond the tilt of controlled flight and uneven ground
-LOST_TILT_DEG = 75.0  # chosen: beyond any commanded tilt, control is lost
-AWAY_M = 200.0  # chosen: farther than any autopilot brakes or any receiver errs without a fault
-DEGRADED_M, DEGRADED_DEG = 10.0, 5.0  # chosen: as the limits of campaigns
-AIRBORNE_M = 1.0  # chosen: from this height on the vehicle has taken off
-GROUND_M = 0.3  # chosen: lower than this after take-off, the vehicle is on the ground
+CRASH_MPS = 3.0  # 10 ft/s: the fastest touchdown that landing gear is designed for (14 CFR 23.473)
+UPSET_DEG = 60.0  # PX4's failure detector: FD_FAIL_R, FD_FAIL_P
+LOST_TILT_DEG = 75.0  # UPSET_DEG and a quarter: a manoeuvre may overshoot the former
+AWAY_M = 200.0  # from 30 m/s an autopilot brakes at 2.5 m/s^2 within 180 m
+DEGRADED_M, DEGRADED_DEG = 10.0, 5.0  # the defaults of campaigns (analysis/campaign/outcomes.py)
+AIRBORNE_M = 1.0  # above the noise of a barometer (BMP388: relative 8 Pa, 0.7 m)
+GROUND_M = 0.3  # true height of a vehicle on its legs, and an estimate's change in 1 s at rest
 BEFORE_S = 0.3  # the speed is taken this long before contact, since contact itself stops the fall
-STOP_S = 0.7  # chosen: the ground stops a fall within this time
-REST_S = 2.0  # chosen: the vehicle then stays at rest this long
-REST_MPS, REST_M = 1.0, 2.0  # chosen: a vehicle at rest, within the noise of estimates
-LOW_M = 4.0  # chosen: above the lowest height of a flight, twice the noise of a barometer
-IMPACT_MPS2 = 15.0  # beyond gravity; chosen: a multirotor does not brake this hard
-BLOW_MPS2, BLOW_FACTOR = 60.0, 2.0  # chosen: six times gravity, and twice what was before
+STOP_S = 0.7  # BEFORE_S, and four samples of a log at 10 Hz
+REST_S = 2.0  # as long as ArduPilot's crash check waits
+REST_MPS, REST_M = 1.0, 2.0  # ArduPilot's land detector: LAND_DETECTOR_VEL_Z_MAX; 2 s of half of it
+LOW_M = 4.0  # above the lowest height of a flight: twice REST_M
+IMPACT_MPS2 = 15.0  # beyond gravity: thrust of twice the weight brakes at 9.8
+BLOW_MPS2, BLOW_FACTOR = 60.0, 2.0  # four times IMPACT_MPS2, and twice what was before
 BLOW, ENDED_TILTED = "blow", "ended tilted by"
 FALL_MPS2 = 1.5 * STANDARD_GRAVITY_MPS2  # a datum that steps "falls" faster than any vehicle
 FALL_STEPS = 3  # over these many steps
-COMMAND_S = 3.0  # chosen: a mode follows its command within this time
-REASON_S = 2.0  # chosen: an autopilot explains a change of mode within this time
+COMMAND_S = 3.0  # in which a mode follows its command: three of the heartbeats that report it
+REASON_S = 2.0  # in which an autopilot explains a change of mode: two of these heartbeats
 # None matches a setting ("Crash check disabled"), the end of a failsafe, or PX4's mere warning.
 CRASH_TEXT = re.compile(r"\bcrash(:|ed\b| detected| check\b(?!.*(dis|en)abled))", re.IGNORECASE)
 # ArduPilot's simulator reports every touchdown, with its speed.

@@ -24,7 +24,7 @@ from analysis.detection.actuators.alarm_precedence import FOREVER_US, IMPACT_MPS
 from analysis.detection.actuators.effects import COMMANDS, FORCE, OUTPUT, RATE, Effects
 from analysis.detection.actuators.motion_bins import AIR_LASTS_US, MotionBins
 from analysis.detection.actuators.motion_filter import MotionModel
-from analysis.detection.actuators.motor_imbalance import MotorTrim
+from analysis.detection.actuators.motor_imbalance import MOTOR_COUNT, MotorTrim
 from analysis.detection.actuators.response_regression import NO_HYPOTHESES, ResponseRegression
 from analysis.detection.actuators.switched_off import OutputStates
 from analysis.samples.block import (
@@ -45,7 +45,6 @@ from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 
 # 3 s of flight before the first test, chosen: the model's constants have settled
 LEARNED_BINS = 30
-ROTOR_COUNT = 4  # a controller has four demands, so more rotors' effects are not separable
 NONLINEAR_SHARE = 0.02  # nonlinearity of a learned effect, chosen
 MOST_OUTLIER_BINS = 30  # 3 s; a longer run of outliers is changed noise or no actuator's fault
 NOMINAL_BINS = 10  # without a hypothesis until learning resumes: 1 s
@@ -253,7 +252,7 @@ class ActuatorResponse:
         if not self.effects.unknown:
             return True
         dense = self.interval_us < SPARSE_COMMAND_US
-        return dense and int(self.model.known_rotors().sum()) == ROTOR_COUNT
+        return dense and int(self.model.known_rotors().sum()) == MOTOR_COUNT
 
     def _test_bin(self, terms: Vector, motion: Vector) -> ActuatorHypothesis:
         """Compare a full bin with the model, find a hypothesis, and learn if there is none."""

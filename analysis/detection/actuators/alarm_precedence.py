@@ -7,14 +7,14 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.detection.detector_registry import ENDED_US
 from analysis.results import OR_SEPARATOR, Decision, Result, SensorDecision
 from analysis.samples.block import NEVER_US
 
 ACTUATORS = "actuators"  # their `sensor` in results
-# After a sensor was isolated that they are tested with: its hold time, and the time to learn the
-# model again
+# After a sensor was isolated, or the attitude was lost: the time for which the sensor is held out
+# (10 s, `imu_hold_s`), and that to find the attitude and learn the model again.
 RELEARNED_US = 20_000_000
-REPEATED_US = 1_500_000  # an alarm that lasts is repeated within it
 FOREVER_US = 1 << 62  # later than any stamp
 IMPACT_MPS2 = 100.0  # 10 g: more than any manoeuvre
 CRASHED = "after a crash"
@@ -51,7 +51,7 @@ class AlarmPrecedence:
 
     def _actuator_alarm(self, alarm: SensorDecision) -> SensorDecision:
         # A faulty actuator puts the IMU in doubt itself: what was isolated before stays isolated.
-        is_new = alarm.t_us - self.actuator_us > REPEATED_US
+        is_new = alarm.t_us - self.actuator_us > ENDED_US
         for source, at_us in self.faulty_us.items():
             if alarm.t_us - at_us < RELEARNED_US and (is_new or OR_SEPARATOR not in source):
                 return _untested(alarm, f"{source} is at fault")
@@ -76,12 +76,4 @@ def _without_sensor_verdict(result: Result, reason: str) -> Result:
 
 
 def _untested(result: SensorDecision, reason: str) -> SensorDecision:
-    return msgspec.structs.replace(
-        result,
-        statistic=None,
-        threshold=None,
-        alarm=False,
-        isolated=False,
-        reason=reason,
-        suspect="",
-    )
+    return SensorDecision(t_us=result.t_us, sensor=result.sensor, dof=result.dof, reason=reason)

@@ -5,11 +5,11 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from msgspec.structs import replace
 
+from analysis.detection.detector_registry import ENDED_US
 from analysis.detection.streams.pause_filter import AFTER_PAUSE_US, IMU_SILENT
 from analysis.results import Result, SensorDecision
 from analysis.samples.block import IMU, Block, Indices, Stamps
 
-HELD_US = 1_500_000  # after an alarm; detectors repeat it within this time
 STREAM_SILENT = "silent for"  # prefix of the reason of a silent stream
 HELD_OUT = "the IMU is held out: other detectors found it faulty"
 
@@ -23,7 +23,7 @@ def hold_out_until(
         alone = result.sensor == "imu" and result.suspect in ("", "imu")
         # A silent IMU has no samples to hold out.
         if alone and result.alarm and not result.reason.startswith(STREAM_SILENT):
-            until[row + 1 :] = np.maximum(until[row + 1 :], block.t_us[row] + HELD_US)
+            until[row + 1 :] = np.maximum(until[row + 1 :], block.t_us[row] + ENDED_US)
     return until
 
 
@@ -43,7 +43,7 @@ def withdraw_silence(
         if isinstance(result, SensorDecision) and result.reason.startswith(IMU_SILENT):
             if result.t_us - paused[row] <= AFTER_PAUSE_US:
                 continue
-            if result.t_us < until[row] + HELD_US:
+            if result.t_us < until[row] + ENDED_US:
                 result = replace(result, alarm=False, isolated=False, reason=HELD_OUT)
         changed.append((row, result))
     return changed

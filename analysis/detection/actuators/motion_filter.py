@@ -153,14 +153,14 @@ class MotionModel:
         self._update(terms, motion)
         if self.bins > SPREAD_FROM_BIN:
             weight = min(1.0, MEAN_OUTLIER_STATISTIC / max(statistic, 1e-9))
-            share = _memory_share(LONG_S, self.bins)
+            share = memory_share(BIN_S, LONG_S, self.bins)
             self.spread += share * (weight * np.outer(mean, mean) - self.spread)
 
     def _update(self, terms: Vector, motion: Vector) -> None:
         """One Kalman update per axis."""
         scaled = self.scale_by_airspeed(terms)
         self._predict(scaled, terms, motion)
-        walk = _memory_share(CONSTANT_S, self.bins)
+        walk = memory_share(BIN_S, CONSTANT_S, self.bins)
         self.mean_terms += walk * (terms - self.mean_terms)
         self.learned += 1
         self.learned_terms += (terms - self.learned_terms) / self.learned
@@ -181,6 +181,6 @@ def initial_motion_model(effects: Effects) -> MotionModel:
     return MotionModel(effects, effects.coefficients.copy(), effects.covariances())
 
 
-def _memory_share(memory_s: float, bins: int) -> float:
-    """The weight of a new bin in a running mean over `memory_s`, larger in the first bins."""
-    return max(BIN_S / memory_s, EARLY_SHARE / (bins + EARLY_SHARE))
+def memory_share(step_s: float, memory_s: float, steps: float) -> float:
+    """The weight of a step in a running mean over `memory_s`, larger in the first `steps`."""
+    return max(step_s / memory_s, EARLY_SHARE / (steps + EARLY_SHARE))

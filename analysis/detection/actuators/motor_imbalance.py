@@ -14,7 +14,7 @@ from analysis.detection.actuators.effects import COMMANDS
 from analysis.detection.actuators.switched_off import MOTOR_RISE, OutputStates
 from analysis.samples.sample import Vector
 
-MOTOR_COUNT = 4  # the controller has four demands
+MOTOR_COUNT = 4  # a controller has four demands: the effects of more are not separable
 # Memories of the mean, of the usual mean and of its spread, chosen.
 FAST_S, SLOW_S, SPREAD_S = 1.0, 20.0, 60.0
 LEARNING_S = 15.0  # of flight before the first test: the slow mean has settled

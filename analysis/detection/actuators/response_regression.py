@@ -28,14 +28,18 @@ from analysis.detection.actuators.effects import (
     RATE,
     TERMS,
 )
-from analysis.detection.actuators.motion_filter import BIN_S, MotionModel
+from analysis.detection.actuators.motion_filter import (
+    BIN_S,
+    EARLY_SHARE,
+    LONG_S,
+    MotionModel,
+    memory_share,
+)
 from analysis.samples.sample import Vector
 
 HYPOTHESES = COMMANDS + 2  # actuators, LOAD and PITOT
 BINS_PER_STEP = 5  # bins of a step: half a second
 RETENTION = 0.95  # per step: a memory of 10 s
-# Memory of V in seconds, at most a third of the flight so far, chosen.
-LONG_S, EARLY_SHARE = 60.0, 3.0
 INITIAL_SPREADS = 2.0  # V before the flight, in covariances of m, chosen
 TRIM_VARIANCES = 4.0  # variance of the trim over V, chosen
 STUCK_LEAST_EXPLAINED = 6.0  # r that the free constant has to add, chosen
@@ -124,8 +128,7 @@ class ResponseRegression:
         square = float(change @ information @ change)
         if healthy and self.weight > EARLY_SHARE:
             self.learned_steps += 1.0
-            early = EARLY_SHARE / (self.learned_steps + EARLY_SHARE)
-            memory = max(BINS_PER_STEP * BIN_S / LONG_S, early)
+            memory = memory_share(BINS_PER_STEP * BIN_S, LONG_S, self.learned_steps)
             weight = min(1.0, OUTLIER_STATISTIC / max(square, 1e-9))
             self.cov = self.cov + memory * (weight * np.outer(change, change) - self.cov)
         self.error = self.error + share * change

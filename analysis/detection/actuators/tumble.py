@@ -10,7 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.actuators.alarm_precedence import FOREVER_US, IMPACT_MPS2
+from analysis.detection.actuators.alarm_precedence import (
+    FOREVER_US,
+    IMPACT_MPS2,
+    RELEARNED_US,
+)
 from analysis.detection.compass.compass_samples import ZERO, Axis, compass_samples, dot
 from analysis.samples.block import IMU, MAG, NEVER_US, Block
 
@@ -20,7 +24,6 @@ GYRO_RANGE_RPS = 4.0
 SATURATED_SHARE, SATURATED_SAMPLES = 0.005, 5
 TURNED_COSINE = 0.87758  # cosine of 0.5 rad, the turn of the field since a mark
 MARK_US = 500_000  # between marks of the field
-LOST_US = 20_000_000  # hold time of a sensor and the time to find the attitude again
 
 
 @dataclass(slots=True)
@@ -53,7 +56,7 @@ def track_tumble(block: Block, state: TumbleState) -> NDArray[np.bool_]:
                 until[row] = state.until_us = FOREVER_US
         elif kind == MAG:
             if state.count >= SATURATED_SAMPLES and _field_turned((x, y, z), state.older):
-                until[row] = state.until_us = max(state.until_us, t_us + LOST_US)
+                until[row] = state.until_us = max(state.until_us, t_us + RELEARNED_US)
             if not 0 <= t_us - state.marked_us < MARK_US:
                 state.older, state.younger, state.marked_us = state.younger, (x, y, z), t_us
     lost: NDArray[np.bool_] = block.t_us < np.maximum.accumulate(until)

@@ -22,20 +22,24 @@ from analysis.detection.detector_registry import BlockDetector, RowResults
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import NEVER_US, Block
 
-BIN_US, BIN_COUNT = 1_000_000, 5  # five seconds, chosen
-GAP_US = 1_000_000  # between two different fields
-# gyro gaps without a known rate: in usual intervals, and at most
+# LEAST_RPS over these 5 s is 23 degrees: more than the 20 by which PX4 accepts a compass to be off
+# (EKF2_MAG_CHK_INC). Two different fields are at most one bin apart.
+BIN_US, BIN_COUNT = 1_000_000, 5
+# Gaps of the gyro that are bridged: one lost sample, in usual intervals, and at most what a
+# vehicle turns by MOST_RAD at 1 rad/s.
 INTERVALS, LONGEST_US = 2.5, 350_000
 MOST_RAD = 0.4  # between two fields: larger angles are not small, r errs by a^2 / 2 = 8 %
 # Limit: the larger of LEAST_RPS and USUAL_FACTOR times the usual rate, plus a share of the turn.
 # 15 flights of set A (docs/verdicts.md) have at most 0.03 rad/s without a fault.
 LEAST_RPS, USUAL_FACTOR, TURN_SHARE = 0.08, 4.0, 0.2
 BIN_SHARE = 0.4  # of the mean rate that every bin must show: a field that jumps does so in one bin
-LEARNED_BINS = 10  # windows before the first test, chosen
+LEARNED_BINS = 10  # windows before the first test: the usual rate is then known to a third
 MEMORY = 0.05  # weight of a window in the usual rate: 20 windows
-# A jump exceeds the largest recent r by this factor; its memory; and when it is known. Chosen.
+# A jump exceeds the largest recent r by this factor; its memory; and when it is known. With half of
+# the factor the end of `mag-offset` is a jump, too (benchmarks/preset_table.py).
 PEAK_FACTOR, PEAK_S, LEARNED_S = 4.0, 30.0, 10.0
-JUMP_CONFIRM_US, JUMP_REPORTED_US = 500_000, 4_000_000  # until and while it is reported, chosen
+JUMP_CONFIRM_US = 500_000  # r of a single spike has cancelled by then
+JUMP_REPORTED_US = 4_000_000  # as long as TurnDetector compares with the time before
 
 
 @dataclass(slots=True)
@@ -104,7 +108,7 @@ def _add_field(t_us: int, m: Axis, state: MeanTurnState) -> SensorDecision | Non
     if not 0.0 < size < math.inf or repeated:
         return None
     u, alarm, since_us = add(ZERO, m, 1.0 / size), None, t_us - state.field_us
-    if not 0 < since_us <= GAP_US or math.hypot(*state.angle) > MOST_RAD:
+    if not 0 < since_us <= BIN_US or math.hypot(*state.angle) > MOST_RAD:
         state.bins.clear()
         state.bins.append(_TurnBin())
         state.bin_begin_us, state.jumped_us = t_us, NEVER_US

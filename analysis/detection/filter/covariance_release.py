@@ -3,18 +3,16 @@
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import CLOCK, DRIFT, ERROR_SIZE, ISB, PSI
 
-# One sigma of what a prediction that was found wrong is trusted to from then on.
-FREE_POSITION_M = 300.0
-FREE_SPEED_MPS = 30.0
-FREE_TILT_RAD = 0.3
-FREE_CLOCK_M = 1000.0  # larger jumps are removed before
-FREE_DRIFT_MPS = 100.0
+# One sigma of what a prediction that was found wrong is trusted to from then on: 10 s of motion at
+# the speed of a fast small vehicle, a tilt just below LOST_TILT_RAD, and 0.3 ppm of a TCXO's 0.5.
+FREE_POSITION_M, FREE_SPEED_MPS, FREE_TILT_RAD, FREE_DRIFT_MPS = 300.0, 30.0, 0.3, 100.0
+CLOCK_JUMP_M = 1000.0  # a larger jump on most satellites is a receiver that set its clock: removed
 
 
 def free_clock(motion: MotionEstimate) -> MotionEstimate:
     """The filter with its clock forgotten: jumps of the receiver's clock are states."""
     p = motion.p.copy()
-    p[CLOCK, CLOCK] += FREE_CLOCK_M**2
+    p[CLOCK, CLOCK] += CLOCK_JUMP_M**2
     p[DRIFT, DRIFT] += FREE_DRIFT_MPS**2
     return motion._replace(p=p)
 
@@ -23,7 +21,7 @@ def free_system_clocks(motion: MotionEstimate) -> MotionEstimate:
     """The filter with the systems' offsets forgotten; which clock left is not asked."""
     motion = free_clock(motion)
     p = motion.p.copy()
-    p[range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] += FREE_CLOCK_M**2
+    p[range(ISB, ERROR_SIZE), range(ISB, ERROR_SIZE)] += CLOCK_JUMP_M**2
     return motion._replace(p=p)
 
 

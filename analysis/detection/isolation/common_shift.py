@@ -8,17 +8,20 @@ then decides, at this epoch and the following ones.
 from typing import NamedTuple
 
 from analysis.detection.filter.information import NormalEquations, covariance_block
+from analysis.detection.receiver.carry_off_windows import (
+    FIRST_WEIGHT,
+    LEAST_LEVEL,
+    MOST_SQUARE,
+    SETTLED_US,
+)
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.linear import invert_positive_definite
 
-SHIFT_DOF = 3
+SHIFT_DOF = 3  # north, east, down
 SUSPECTED_US = 3_000_000  # how long a suspicion lasts: slow drags show within it
-SETTLING_US = 10_000_000  # no suspicion so soon after a failed test, whose after-effects look alike
-LEAST_LEVEL = 0.1  # of the flight's level: no receiver is trusted to be better by more
-LARGEST_SQUARE = 9.0  # 3 sigma: larger ones do not raise the level
-FIRST_WEIGHT, MOST_WEIGHT = 10.0, 150.0  # epochs: prior in favour of 1, and memory of the level
+MOST_WEIGHT = 150.0  # epochs, memory of the level: MEMORY_S at 5 Hz
 
 
 class CommonShift(NamedTuple):
@@ -66,10 +69,10 @@ def update_common_shift(
     if t_us < known.suspected_until_us:
         return known  # a suspected shift must not raise the level that it is compared with
     weight = min(known.weight + 1.0, MOST_WEIGHT)
-    square = min(statistic / SHIFT_DOF, LARGEST_SQUARE)
+    square = min(statistic / SHIFT_DOF, MOST_SQUARE)
     return known._replace(level=known.level + (square - known.level) / weight, weight=weight)
 
 
 def reset_common_shift(known: CommonShift, t_us: int) -> CommonShift:
     """The level and suspicion after an epoch that failed a test or had no IMU prediction."""
-    return known._replace(suspected_until_us=0, settled_from_us=t_us + SETTLING_US)
+    return known._replace(suspected_until_us=0, settled_from_us=t_us + SETTLED_US)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.detection.filter.measurement import systems_in_use
+from analysis.detection.receiver.carry_off_windows import LEAST_RATIO_LEAD
 from analysis.detection.statistics.bank import freed_statistic
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.values import Value
@@ -24,7 +25,6 @@ SYSTEMS_CONTRADICT = "two systems contradict each other, and it is ambiguous whi
 ONE_FOLLOWED = f"{SYSTEMS_CONTRADICT}: one is followed, the bounds cover both"
 FREED_PARAMETERS = ((1, LEAST_CLOCK, SYSTEM_CLOCK), (4, LEAST_MOVED, "satellites"))
 SHIFT_GAIN = chi_square_threshold(3, 0.01)  # that three more parameters gain by chance in 1 %
-SEPARABLE_COST = 10.0  # a rival's additional J, or it is ambiguous: likelihoods 150 to 1
 
 
 class SystemGroups(NamedTuple):
@@ -119,6 +119,6 @@ def is_ambiguous(best: Explanation, rivals: Sequence[Explanation]) -> bool:
     return best.hypothesis != SYSTEM_CLOCK and any(
         rival.hypothesis == "satellites"
         and not set(rival.subset) & set(best.subset)
-        and rival.cost - best.cost < SEPARABLE_COST
+        and rival.cost - best.cost < LEAST_RATIO_LEAD
         for rival in rivals
     )

@@ -9,15 +9,15 @@ from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE, X_CLOCK
 from analysis.detection.filter.lasting_errors import lasting_variance
 from analysis.detection.filter.measurement import Innovations
 from analysis.detection.isolation.isolation_config import IsolationConfig
+from analysis.detection.receiver.drift_return import HEALTHY_P
 from analysis.detection.statistics.chi_square import two_sided_bound
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
 RETURNED_SHARE = 0.75  # of a system's satellites that look healthy once it is: some are noisy
 # A range error that is the same for so long, and this small, is multipath of a healthy satellite;
-# it is estimated. Larger ones are faults. Chosen: nothing healthy is excluded for a minute.
+# it is estimated. Larger ones are faults. So nothing healthy is excluded for a minute.
 STANDING_US, STANDING_SIGMAS = 45_000_000, 6.0
-HEALTHY_P = 1e-3  # two-sided: a healthy satellite leaves the bound once in a thousand epochs
 
 
 @dataclass(frozen=True, slots=True)

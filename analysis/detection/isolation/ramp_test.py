@@ -16,7 +16,7 @@ from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
-STRIDE_US = round(STRIDE_S * 1e6)
+STRIDE_US = round(STRIDE_S * 1e6)  # between windows
 # 3 sigma of one parameter: the ramp's likelihood ratio that dates a fault found by another test.
 ONSET_RATIO = 9.0
 

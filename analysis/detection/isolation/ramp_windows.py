@@ -25,8 +25,8 @@ from analysis.detection.statistics.bank import cholesky_reduction
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 
-WINDOW_COUNT = 4
-STRIDE_S = 5.0  # four windows look back 15 to 20 s
+# Four windows look back 15 to 20 s: a ramp of 0.5 m/s has then grown to 10 m, ten sigma.
+WINDOW_COUNT, STRIDE_S = 4, 5.0
 YOUNGEST_S = 0.5  # a younger window detects nothing that the main test does not
 
 

@@ -8,7 +8,7 @@ from analysis.samples.sample import Vector
 NO_EXCLUSIONS: Exclusions = {}
 NO_RATE_FAULTS: dict[str, int] = {}
 LEAST_START_DOF = 2  # with one degree of freedom a start detects a fault, but isolates none
-CONFIRMING_EPOCHS = 10  # chosen: at 1 Hz the satellites move 10 to 40 km meanwhile
+CONFIRMING_EPOCHS = 10  # at 1 Hz the satellites move 39 km meanwhile: another geometry
 
 
 def awaited_confirmation(to_confirm: int) -> str:

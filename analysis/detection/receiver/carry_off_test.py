@@ -15,16 +15,20 @@ from analysis.detection.receiver.carry_off_windows import (
     search_windows,
 )
 from analysis.detection.receiver.fix_latency import Latency, mean_acceleration
-from analysis.detection.receiver.position_test import FixMeasurement, FixTest, known_or_zero
+from analysis.detection.receiver.position_test import (
+    VELOCITY_SIGMA_MPS,
+    FixMeasurement,
+    FixTest,
+    known_or_zero,
+)
 from analysis.detection.receiver.receiver_or_imu import mean_force
 from analysis.detection.receiver.receiver_state import LastFix, ReceiverState
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
 
-AT_REST_MPS = 0.3  # one sigma of a receiver's horizontal velocity
 STEADY_MPS2 = 1.0  # a latency of 0.15 s is then an error of 0.15 m/s
-IMPACT_MPS2 = 5.0  # chosen: the mean force of a flight changes by less from fix to fix
+IMPACT_MPS2 = 5.0  # from fix to fix: half of gravity, as by a tilt of 0.5 rad in 0.2 s
 Tests = tuple[FixTest, FixTest | None]  # of a fix's position, and of its velocity if known
 
 
@@ -60,7 +64,7 @@ def detect_carry_off(
         windows = windows._replace(doubt_us=motion.t_us, impact_us=motion.t_us)
     found = wrong_mps2 = None
     # Touching down stops a receiver, by a force that an IMU is often too slow to show.
-    if float(np.linalg.norm(known_or_zero(v_ned_mps))) > AT_REST_MPS:
+    if float(np.linalg.norm(known_or_zero(v_ned_mps))) > VELOCITY_SIGMA_MPS[0]:
         # One share for all windows: they overlap nearly whole, and what they say changes slowly.
         windows, found, wrong_mps2 = search_windows(
             windows, motion.t_us, chi_square_threshold(3, config.p_slow)

@@ -16,17 +16,17 @@ from analysis.detection.receiver.position_test import FixMeasurement, FixTest
 from analysis.samples.sample import Vector
 
 WINDOW_COUNT = 20  # 4 s of fixes at 5 Hz
-STRIDE_US = 180_000  # at most one window per 180 ms, for fixes at 5 Hz or less each begins one
-# A window's responses, along or about north, east and down
-CARRIED, ACCELERATED, TURNED = slice(0, 3), slice(3, 6), slice(6, 9)
-RESPONSES = 9
-# Slow errors of a healthy receiver's velocity and of a healthy IMU's acceleration, chosen
+STRIDE_US = 180_000  # between windows: less than the interval of fixes at 5 Hz
+# A window's responses, along or about north, east and down, and how many
+CARRIED, ACCELERATED, TURNED, RESPONSES = slice(0, 3), slice(3, 6), slice(6, 9), 9
+# Slow errors of a healthy receiver's velocity, four times the 0.05 m/s (50 %) of u-blox's M8 and M9
+# data sheets, and of a healthy IMU: the zero-g offset of an ICM-42688-P, 20 mg.
 NATURAL_MPS, NATURAL_MPS2 = 0.2, 0.2
-LEAST_RATIO_LEAD = 10.0  # chosen: a likelihood of 1:150
-SETTLED_US = 10_000_000  # in which the filter settles after an impact or a wrong acceleration
-KNOWN_US = 700_000  # age of a window that knows the drag well enough to remove it
+LEAST_RATIO_LEAD = 10.0  # of twice the log likelihood, else it is ambiguous: exp(10 / 2), 150 to 1
+SETTLED_US = 10_000_000  # after a failed test or impact, whose after-effects look alike
+KNOWN_US = 700_000  # age of a window that knows a drag: four epochs at 5 Hz, its sigma is halved
 MEMORY_S = 30.0  # of the innovations' level
-FIRST_WEIGHT = 10.0  # weight of the assumed noise in the level, in fixes
+FIRST_WEIGHT = 10.0  # weight of the assumed noise in the level, in fixes or epochs
 LEAST_LEVEL = 0.1  # the best receivers have a third of the assumed sigma
 NO_JUMP = np.zeros(3)
 POSITION_ROWS = np.arange(3)  # a fix's rows of the position

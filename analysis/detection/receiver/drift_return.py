@@ -14,9 +14,9 @@ from analysis.detection.receiver.receiver_state import DriftTrack, LastFix
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.samples.sample import Vector
 
-MARK_US, MARK_COUNT = 5_000_000, 12  # means of d over 5 s, a minute in all; chosen
-NATURAL_S = 1.0  # correlation of a healthy velocity's slow errors, chosen
-HEALTHY_P = 1e-3  # as of a satellite that is readmitted
+MARK_US, MARK_COUNT = 5_000_000, 12  # means of 25 fixes at 5 Hz: a fifth of the noise; a minute
+NATURAL_S = 1.0  # correlation of a healthy velocity's slow errors: a receiver's own filter
+HEALTHY_P = 1e-3  # what returned leaves the bound once in a thousand epochs while healthy
 LEAST_LEAD = 9.0  # of chi-square: 3 sigma of one parameter
 
 

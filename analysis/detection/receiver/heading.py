@@ -14,11 +14,10 @@ import numpy as np
 
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import BG, ERROR_SIZE, PSI, X_BG, X_Q
+from analysis.detection.receiver.carry_off_windows import NATURAL_MPS
+from analysis.detection.receiver.drift_return import NATURAL_S
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_in_reference, rotation_matrix
-
-# apparent acceleration of a receiver's slow velocity errors, as NATURAL_MPS in 1 s
-VELOCITY_ERROR_MPS2 = 0.2
 
 
 def limit_heading_update(
@@ -35,8 +34,9 @@ def limit_heading_update(
     prior, updated = (
         float(down @ motion.p[PSI : PSI + 3, PSI : PSI + 3] @ down) for motion in (before, after)
     )
+    error_mps2 = NATURAL_MPS / NATURAL_S
     level_mps2 = float(np.hypot(acceleration_mps2[0], acceleration_mps2[1]))
-    allowed = min(prior, (VELOCITY_ERROR_MPS2 / max(level_mps2, 1e-6)) ** 2)
+    allowed = min(prior, (error_mps2 / max(level_mps2, 1e-6)) ** 2)
     if updated >= allowed:
         return after
     share = float(np.sqrt((allowed - updated) / (prior - updated)))

@@ -12,11 +12,12 @@ from analysis.detection.filter.propagation import ImuSegment
 from analysis.samples.sample import Vector
 
 CHANNELS = slice(1, 7)  # columns of rates and specific force, after the time
-LEAST_SAMPLES, LEARNED_FIXES, MEMORY_FIXES = 4, 10, 60  # chosen
+# Samples of a mean square, and intervals until the level is known to a third; 12 s at 5 Hz.
+LEAST_SAMPLES, LEARNED_FIXES, MEMORY_FIXES = 4, 10, 60
 # Of a mean square, logarithmic: 50 times the usual noise. The turns of a wing reach 27 at 100 Hz,
 # spikes and touchdowns 88 or more.
 LARGEST_GAIN = np.log(2500.0)
-QUIETEST = 1e-18  # far below the resolution of any IMU
+QUIETEST = 1e-18  # a variance of a value that repeats: far below the resolution of any sensor
 
 
 class ImuScatter(NamedTuple):

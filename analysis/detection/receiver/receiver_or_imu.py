@@ -22,10 +22,8 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 UNDECIDED = "GPS-or-imu"
-# of the velocity's noise: allowance on the largest growth that an IMU fault can cause
-EXCUSED_SIGMAS = 4.0
-# largest difference between a change of force and a wrong acceleration, as a share; chosen
-ALIKE_SHARE = 0.4
+EXCUSED_SIGMAS = 4.0  # of the velocity, beyond the growth that an IMU fault can cause: p 6e-5
+ALIKE_SHARE = 0.4  # a change of force and a wrong acceleration differ by less: 24 degrees, or 40 %
 # Intervals in which an IMU fault may have begun before one fix shows it, or the windows do
 INTERVALS, HISTORY_INTERVALS = 3, 6
 FORCE = slice(4, 7)  # columns of the specific force in the IMU's segment, after time and rates

@@ -13,6 +13,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from analysis.detection.detector_registry import BlockDetector, RowResults
+from analysis.detection.receiver.imu_scatter import QUIETEST
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import (
     BARO,
@@ -30,7 +31,11 @@ from analysis.samples.block import (
     Indices,
 )
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.constants import MEAN_EARTH_RADIUS_M
+from mavproxy_fault.numerics.constants import (
+    MEAN_EARTH_RADIUS_M,
+    SEA_LEVEL_DENSITY_KGPM3,
+    STANDARD_GRAVITY_MPS2,
+)
 from mavproxy_fault.numerics.rotations.rotation import wrap_angles
 
 MOST_INSTANCES = 3  # of one kind
@@ -38,9 +43,8 @@ LEARNED_WINDOWS, MEMORY_WINDOWS = 10, 60  # before the first test, of the usual 
 CHANGE_SIGMAS, CONFIRM_WINDOWS = 8.0, 3  # windows in a row; chosen on benchmarks/instance_votes.py
 STANDARD_ERRORS = 4.0  # of the difference of two means: vibration is not the same everywhere
 NOISE_GAIN = np.log(16.0)  # of a variance: four times the usual noise, which no flight adds to one
-QUIETEST = 1e-18  # a variance, far below the resolution of any sensor: one that repeats its value
 PAIRS = tuple(combinations(range(MOST_INSTANCES), 2))
-METRES_PER_PASCAL = 0.0843  # ICAO standard atmosphere at sea level
+METRES_PER_PASCAL = 1.0 / (SEA_LEVEL_DENSITY_KGPM3 * STANDARD_GRAVITY_MPS2)  # 0.0832, hydrostatic
 
 
 class VoterKind(NamedTuple):
@@ -73,6 +77,20 @@ class UsualValue:
     square: Vector
     windows: int = 0
     outliers: int = 0
+
+    def has_left(self, change: Vector, beyond: bool) -> bool:
+        """Whether the changes (n,) of several windows were `beyond` their limits. Learning stops
+        meanwhile, or the fault would become usual."""
+        if self.windows >= LEARNED_WINDOWS and beyond:
+            self.outliers += 1
+            return self.outliers >= CONFIRM_WINDOWS
+        self.outliers = 0
+        self.windows += 1
+        # A plain mean at first, then one over MEMORY_WINDOWS.
+        share = 1.0 / min(self.windows, MEMORY_WINDOWS)
+        self.mean = self.mean + share * change
+        self.square = self.square + share * (change**2 * (1.0 - share) - self.square)
+        return False
 
 
 def new_usual(count: int) -> UsualValue:
@@ -224,14 +242,10 @@ def _noisy(variances: dict[int, Vector], state: VoteState) -> list[int]:
     gains = {i: np.log(variances[i] + QUIETEST) - state.noise[i].mean for i in variances}
     found = []
     for i, gain in gains.items():
-        known = state.noise[i]
         others = [gains[j] for j in gains if j != i and state.noise[j].windows >= LEARNED_WINDOWS]
         excess = gain - np.max([np.zeros(len(gain)), *others], axis=0)
-        if known.windows >= LEARNED_WINDOWS and others and (excess > NOISE_GAIN).any():
-            known.outliers += 1
-            found += [i] if known.outliers >= CONFIRM_WINDOWS else []
-        else:
-            _learn(known, gain)
+        if state.noise[i].has_left(gain, bool(others) and bool((excess > NOISE_GAIN).any())):
+            found.append(i)
     return found
 
 
@@ -251,22 +265,7 @@ def _is_off(difference: Vector, known: UsualValue, limits: Vector) -> bool:
     """Whether a difference (n,) has left its usual value, which is learned as long as it stays."""
     change = difference - known.mean
     limit = np.maximum(limits, CHANGE_SIGMAS * np.sqrt(known.square))
-    # Learning stops meanwhile, or the fault would become the usual difference.
-    if known.windows >= LEARNED_WINDOWS and (np.abs(change) > limit).any():
-        known.outliers += 1
-        return known.outliers >= CONFIRM_WINDOWS
-    _learn(known, change)
-    return False
-
-
-def _learn(known: UsualValue, change: Vector) -> None:
-    """Add a window's change (n,) to what is usual."""
-    known.outliers = 0
-    known.windows += 1
-    # A plain mean at first, then one over MEMORY_WINDOWS.
-    share = 1.0 / min(known.windows, MEMORY_WINDOWS)
-    known.mean = known.mean + share * change
-    known.square = known.square + share * (change**2 * (1.0 - share) - known.square)
+    return known.has_left(change, bool((np.abs(change) > limit).any()))
 
 
 def _result(t_us: int, voters: VoterKind, instances: list[int], text: str) -> SensorDecision:

@@ -10,20 +10,19 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from analysis.detection.detector_registry import BlockDetector, RowResults
+from analysis.detection.detector_registry import REPEAT_US, BlockDetector, RowResults
 from analysis.detection.values import Value
 from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import EPOCH, Block
 from analysis.samples.sample import Epoch
 
-# of the median; a tilted antenna or a hand near it weakens all signals by less, chosen
-LEAST_DB = 6.0
-SPREAD_DB = 3.0  # between the quartiles of the losses: an obstruction spreads them more, chosen
-LEAST_SATELLITES = 5  # of a band
+# Of the median, and between the quartiles of the losses, which an obstruction spreads: no alarm in
+# 144 hours under open sky and on the walk (docs/fdi.md, "Jamming").
+LEAST_DB, SPREAD_DB = 6.0, 3.0
+LEAST_SATELLITES = 5  # of a band: fewer have no quartiles
 MEAN_S, LEARNED_S = 60.0, 4.0  # memory of the mean; age of a satellite that counts
-CONFIRM_EPOCHS = 3  # epochs, and CONFIRM_US, until it is reported
-CONFIRM_US, REPEAT_US = 300_000, 500_000  # chosen; results repeat every half second
-USUAL_US = 300_000_000  # after which the weak signals are the new normal
+CONFIRM_EPOCHS = 3  # in a row: a hand or a wing that passes takes less at 5 Hz
+OBSTRUCTED_US = 300_000_000  # after which the weak signals are the new normal
 BAND_HZ = 1e7  # wider than the channels of GLONASS, narrower than the distance of bands
 LOST_DB = 40.0  # loss of a vanished signal: tracking ends 40 dB below a strong one
 
@@ -86,7 +85,7 @@ def _add_epoch(epoch: Epoch, state: SignalState) -> tuple[float, SignalState]:
         for band, losses in _losses(cn0_now, strengths).items()
     }
     fallen_db = max(fallen.values(), default=0.0)
-    if not fallen_db or (since_us is not None and t_us - since_us > USUAL_US):
+    if not fallen_db or (since_us is not None and t_us - since_us > OBSTRUCTED_US):
         bands = dict(zip(epoch.satellites, _bands(epoch), strict=True))
         first = {name: SignalStrength(cn0_now[name], t_us, t_us, bands[name]) for name in cn0_now}
         usual = strengths if not fallen_db else {}
@@ -96,7 +95,7 @@ def _add_epoch(epoch: Epoch, state: SignalState) -> tuple[float, SignalState]:
     # The means are frozen while signals are weak: the loss is relative to the time before.
     since_us = t_us if since_us is None else since_us
     epochs = {band: epochs.get(band, 0) + 1 for band, loss_db in fallen.items() if loss_db}
-    lasts = t_us - since_us >= CONFIRM_US and max(epochs.values()) >= CONFIRM_EPOCHS
+    lasts = max(epochs.values()) >= CONFIRM_EPOCHS
     if not lasts or (state.reported_us is not None and t_us - state.reported_us < REPEAT_US):
         return 0.0, SignalState(strengths, since_us, epochs, state.reported_us)
     return fallen_db, SignalState(strengths, since_us, epochs, t_us)

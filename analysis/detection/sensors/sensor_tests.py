@@ -42,13 +42,13 @@ from analysis.samples.block import (
 from analysis.samples.sample import Sample, Vector
 from mavproxy_fault.numerics.linear import invert_positive_definite
 
-FAILS_TO_ISOLATE = 3  # failures in a row, chosen: one outlier isolates no sensor
+FAILS_TO_ISOLATE = 3  # failures in a row: one outlier isolates no sensor, p_other^3 is 1e-15
 SIZE_SIGMAS = 4.0  # error of the field's size above which the magnetometer is at fault: p 6e-5
 WITH_OFFSET = ("baro", "vision")  # slow states of the others are the wind, the field, the terrain
-SETTLED_S = 10.0  # chosen: the slow states are then known to their sensor's noise
-STALE_S = 0.5  # older samples are not tested
+SETTLED_S = 10.0  # the slow states are then known to a seventh of the noise, of 50 epochs at 5 Hz
+STALE_S = 0.5  # older samples are not tested: two of a sensor at 5 Hz are missing
 SAME_US = 10_000  # a fix this close to an epoch belongs to it: receivers send it after the ranges
-NOISE_MEMORY_S = 30.0  # memory of a sensor's noise
+NOISE_MEMORY_S = 30.0  # of a sensor's noise: of 150 epochs at 5 Hz, known to a tenth
 # hypotheses under which the filter is healthy
 SOUND_FILTER = ("none", "satellites", "clock", "gps")
 OF_RECEIVER = ("gps-position", "gps-velocity")
@@ -302,13 +302,4 @@ def _view_reference(
 
 
 def _untested(t_us: int, name: str, state: SensorState, reason: str) -> SensorDecision:
-    return SensorDecision(
-        t_us=t_us,
-        sensor=name,
-        statistic=None,
-        threshold=None,
-        dof=0,
-        alarm=False,
-        isolated=state.isolated,
-        reason=reason,
-    )
+    return SensorDecision(t_us=t_us, sensor=name, isolated=state.isolated, reason=reason)

@@ -7,7 +7,7 @@ the last epoch their learned offsets are frozen.
 import numpy as np
 
 from analysis.detection.detector_state import DetectorCore
-from analysis.detection.filter.covariance_release import free_clock
+from analysis.detection.filter.covariance_release import CLOCK_JUMP_M, free_clock
 from analysis.detection.filter.filter_config import FilterConfig
 from analysis.detection.filter.inertial import X_CLOCK
 from analysis.detection.filter.measurement import (
@@ -25,8 +25,6 @@ from analysis.detection.isolation.epoch_memory import (
 from analysis.detection.isolation.epoch_statistics import EpochStatistics, compute_statistics
 from analysis.detection.stages.predict import Prediction
 from analysis.detection.values import Value
-
-CLOCK_JUMP_M = 1000.0  # the receiver set its clock: no fault has this on most satellites
 
 
 class Assessment(Value, frozen=True):

@@ -95,17 +95,8 @@ def build_start_decision(
 
 def untestable_decision(t_us: int, reason: str, excluded: Iterable[str] = ()) -> Decision:
     """No decision, and why."""
-    return Decision(
-        t_us=t_us,
-        statistic=None,
-        threshold=None,
-        dof=0,
-        p_value=None,
-        alarm=False,
-        hypothesis="untestable",
-        excluded=tuple(sorted(excluded)),
-        reason=reason,
-    )
+    names = tuple(sorted(excluded))
+    return Decision(t_us=t_us, hypothesis="untestable", excluded=names, reason=reason)
 
 
 def imu_results(

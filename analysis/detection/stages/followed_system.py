@@ -18,7 +18,7 @@ from analysis.detection.stages.assess import Assessment
 from analysis.detection.stages.isolate import EpochVerdict
 from analysis.samples.sample import Vector
 
-LEAST_STEADY_US = 5_000_000  # chosen: of known motion, in each half of the history
+LEAST_STEADY_US = 5_000_000  # in each half of the history: its velocity is then known to 1 m/s
 
 
 def follow_one_system(

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
+from analysis.detection.filter.covariance_release import FREE_SPEED_MPS
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import (
     CLOCK,
@@ -23,23 +24,22 @@ from analysis.detection.filter.inertial import (
 from analysis.detection.filter.lasting_errors import VarianceFactor
 from analysis.detection.filter.measurement import EpochObservation, Innovations, predict_innovations
 from analysis.detection.isolation.constellations import (
-    SEPARABLE_COST,
     SYSTEMS_CONTRADICT,
     explain_by_systems,
     group_by_system,
 )
 from analysis.detection.isolation.hypotheses import explain_by_satellites
 from analysis.detection.protection_levels import PositionBounds, bound_position
+from analysis.detection.receiver.carry_off_windows import LEAST_RATIO_LEAD
 from analysis.detection.statistics.bank import projected_weights
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.orbits.snapshot import design_matrix, systems_of
 from analysis.samples.sample import Vector
 
 MOST_ITERATIONS = 12  # more means that Gauss-Newton diverges
-CONVERGED_M = 1e-3
+CONVERGED_M = 1e-3  # a thousandth of a range's noise
 NEAR_EARTH_M = 1.0e6  # below this radius elevations and weights are meaningless
 ISB_SIGMA_M = 300.0  # one microsecond: a system's first ranges alone determine its offset
-UNKNOWN_SPEED_SIGMA_MPS = 30.0  # chosen: most small vehicles are slower
 UNKNOWN_DRIFT_SIGMA_MPS = 300.0  # 1 ppm: an ordinary crystal
 TRUSTED_START_DOF = 3  # with fewer the rest is not tested after one satellite is left out
 
@@ -137,7 +137,7 @@ def _faulty_satellites(
         # Which of two systems moved is ambiguous in a snapshot: it must not start in between.
         systems = group_by_system(innovations.geometry)
         wholes = explain_by_systems(m, u, q, systems, config.p_false_alarm)
-        if any(whole.cost - found.cost < SEPARABLE_COST for whole in wholes):
+        if any(whole.cost - found.cost < LEAST_RATIO_LEAD for whole in wholes):
             return (), SYSTEMS_CONTRADICT
         # Three wrong of eight look like two others: the rest must test each other.
         if len(u) - len(found.subset) - unknowns < TRUSTED_START_DOF:
@@ -217,7 +217,7 @@ def _motion(
         # A floor of 0.1 m/s, also where the geometry is very good.
         p[np.ix_([3, 4, 5, DRIFT], [3, 4, 5, DRIFT])] = rate + 0.01 * np.eye(4)
     else:
-        p[[3, 4, 5], [3, 4, 5]] = UNKNOWN_SPEED_SIGMA_MPS**2
+        p[[3, 4, 5], [3, 4, 5]] = FREE_SPEED_MPS**2
         p[DRIFT, DRIFT] = UNKNOWN_DRIFT_SIGMA_MPS**2
     set_unknown_attitude(p)
     return MotionEstimate(t_us, x, p)

@@ -18,11 +18,7 @@ from analysis.detection.isolation.all_satellites import (
     ranges_beyond_imu,
     rates_beyond_imu,
 )
-from analysis.detection.isolation.common_shift import (
-    LEAST_LEVEL,
-    shift_is_suspected,
-    shift_statistic,
-)
+from analysis.detection.isolation.common_shift import shift_is_suspected, shift_statistic
 from analysis.detection.isolation.epoch_memory import learned_offsets_m
 from analysis.detection.isolation.epoch_statistics import LEAST_RATES
 from analysis.detection.isolation.ramp_test import (
@@ -35,7 +31,7 @@ from analysis.detection.isolation.ramp_test import (
 from analysis.detection.isolation.ramp_windows import update_windows
 from analysis.detection.isolation.range_test import RangeVerdict, isolate_ranges, run_range_test
 from analysis.detection.isolation.rate_test import RateVerdict, run_rate_test
-from analysis.detection.receiver.carry_off_windows import CarryOff
+from analysis.detection.receiver.carry_off_windows import LEAST_LEVEL, CarryOff
 from analysis.detection.stages.assess import Assessment
 from analysis.detection.stages.imu_or_satellites import (
     SourceVerdict,

@@ -10,9 +10,9 @@ from typing import NamedTuple
 from analysis.samples.sample import GpsFix
 
 LEARNED_FIXES = 100  # fixes before the first test, chosen
-# Repetitions beyond the most so far; a receiver that ever repeated more (a simulator's) is exempt.
-RUN_FACTOR, RUN_MORE, STILL_FIXES = 3, 10, 3
-CONFIRM_US = 500_000
+# Repetitions beyond the most so far, and for how long; a receiver that ever repeated more than
+# STILL_FIXES (a simulator's) is exempt.
+RUN_FACTOR, RUN_MORE, RUN_US, STILL_FIXES = 3, 10, 500_000, 3
 # While it moves a receiver repeats nothing, whatever its past. Chosen.
 MOVING_MPS, MOVING_FIXES = 1.0, 5
 
@@ -45,7 +45,7 @@ class FixRepeats(NamedTuple):
     @property
     def frozen(self) -> bool:
         """Whether it repeats itself as it never did before."""
-        if self.t_us - self.since_us < CONFIRM_US:
+        if self.t_us - self.since_us < RUN_US:
             return False
         if math.hypot(*self.fix[3:]) > MOVING_MPS and self.run >= MOVING_FIXES:
             return True

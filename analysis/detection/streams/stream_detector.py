@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from analysis.detection.detector_registry import BlockDetector, RowResults
+from analysis.detection.detector_registry import REPEAT_US, BlockDetector, RowResults
 from analysis.detection.streams.stream_rate import SINKING_SHARE
 from analysis.detection.streams.stream_times import (
     FIX_SOURCE,
@@ -19,7 +19,6 @@ from analysis.detection.streams.stream_times import (
     INTERVALS,
     LEARNED_SAMPLES,
     LEARNED_VALUES,
-    REPEAT_US,
     RHYTHM_SAMPLES,
     SHARE,
     SILENT_US,

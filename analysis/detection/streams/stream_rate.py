@@ -6,14 +6,15 @@ that of the last minute, and with the usual deviation between the two.
 
 from dataclasses import dataclass
 
+from analysis.detection.detector_registry import USUAL_US
+
 # memories; the short one has at least so many samples
 LONG_S, SHORT_S, SHORT_SAMPLES = 60.0, 2.0, 20.0
 KNOWN_MEMORIES = 4.0  # short memories until a rate is known, chosen
 # least missing share, and in usual deviations; the 182 logs of docs/watches.md are below
 LEAST_MISSING, DEVIATION_FACTOR = 0.3, 4.0
 SINKING_SHARE = 0.15  # largest missing share of a regular stream, chosen: half of LEAST_MISSING
-# of a sparse stream: until it is reported, and until the rate is the usual one
-CONFIRM_S, USUAL_S = 1.0, 20.0
+CONFIRM_S = 1.0  # of a sparse stream, until it is reported
 # least size of a burst, and in usual bursts; chosen on the 182 logs of docs/watches.md
 BURST, BURST_FACTOR = 5, 2
 
@@ -56,7 +57,7 @@ class StreamRate:
             self.sparse_s = 0.0
             return 0.0
         self.sparse_s += gap_s
-        if self.sparse_s > USUAL_S:
+        if self.sparse_s > USUAL_US * 1e-6:
             self.samples, self.seconds = self.short_samples, self.short_seconds
         return share if self.sparse_s > CONFIRM_S else 0.0
 

@@ -9,7 +9,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from analysis.detection.streams.fix_repeats import FixRepeats
+from analysis.detection.detector_registry import REPEAT_US
+from analysis.detection.streams.fix_repeats import RUN_FACTOR, RUN_MORE, RUN_US, FixRepeats
 from analysis.detection.streams.stream_rate import StreamRate
 from analysis.samples.block import FIX_3D, FIX_TYPE, NEVER_US, SOURCES
 
@@ -26,10 +27,7 @@ INTERVALS = 5.0  # least length of a silence in usual intervals, chosen
 PAUSE_FACTOR, FORGOTTEN_US = 1.5, 60e6  # of the longest recent pause: lossy logs and links; memory
 LATE_US, SPREAD_FACTOR = 300_000, 8.0  # least lateness, and in its usual spread; chosen
 FROZEN_STAMPS = 5  # equal stamps in a row, chosen
-# A repetition beyond the sensor's past: factor, samples more, and duration; chosen.
-RUN_FACTOR, RUN_MORE, RUN_US = 3, 10, 500_000
 STILL_SAMPLES = 20  # a value that has legitimately repeated for 20 samples is exempt from the test
-REPEAT_US = 500_000  # between two results about the same anomaly
 
 
 def accepts_source(known: float, source: float) -> bool:

@@ -4,11 +4,11 @@ import numpy as np
 
 from analysis.detection.actuators.imu_hold_out import (
     HELD_OUT,
-    HELD_US,
     hold_out_until,
     trusted_rows,
     withdraw_silence,
 )
+from analysis.detection.detector_registry import ENDED_US
 from analysis.results import SensorDecision
 from analysis.samples.block import NEVER_US, block_of
 from analysis.samples.sample import ImuSample, MagSample, Sample
@@ -36,7 +36,7 @@ def test_imu_samples_are_held_out_until_a_while_after_the_last_alarm() -> None:
     held = np.setdiff1d(np.arange(len(block.kind)), rows)
     assert set(block.kind[held]) == {0}
     assert block.t_us[held].min() == 1_100_000
-    assert block.t_us[held].max() == 1_500_000 + HELD_US - 100_000
+    assert block.t_us[held].max() == 1_500_000 + ENDED_US - 100_000
 
 
 def test_an_alarm_before_a_block_holds_the_imu_out_in_it() -> None:
