@@ -18,6 +18,19 @@ settings.register_profile("fast", max_examples=60, deadline=None, derandomize=Tr
 settings.register_profile("deep", max_examples=5000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 
+# The longest files come first, so that at the end no worker waits for one of them.
+LONGEST = (
+    "test_quickstarts.py", "test_actuator_detector.py", "test_autopilot_run.py", "test_ci.py",
+    "test_examples_fly.py", "test_page_watching.py", "test_detector.py", "test_notebook.py",
+    "test_campaign_command.py", "test_kills.py", "test_report_browser.py", "test_page_sequence.py",
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Sort the files by how long they take."""
+    place = {name: number for number, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.name, len(LONGEST)))
+
 
 @pytest.fixture(scope="session", autouse=True)
 def state_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:

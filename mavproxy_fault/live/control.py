@@ -10,6 +10,7 @@ HEARTBEAT; it is repeated to ground stations, which need it to find the vehicle.
 import logging
 import re
 import time
+from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -40,12 +41,7 @@ from mavproxy_fault.live.subscriptions import SubscribedMessages, Watched
 from mavproxy_fault.proxy.announcements import COMPONENT
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import NEVER_US
-from mavproxy_fault.proxy.senders import (
-    CLOCK_OFFSET,
-    LINKS,
-    NEWEST_STAMP,
-    new_senders,
-)
+from mavproxy_fault.proxy.senders import CLOCK_OFFSET, LINKS, NEWEST_STAMP
 from mavproxy_fault.schedule.cross_checks import check_id
 from mavproxy_fault.schedule.entries import parse_entry, parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
@@ -106,7 +102,7 @@ class LiveControl:
         self.rflysim = rflysim
         self.folders = folders
         self.view = SubscribedMessages()
-        self.senders = new_senders()  # the core's, once attached
+        self.senders = array("q")  # the core's, once attached
         self.replayed_us: int | None = None  # wall time of an edit that a replay repeats
         self._latched: set[str] = set()
         self._other_sizes: set[int] = set()  # of datagrams on RflySim's port that were reported

@@ -19,7 +19,7 @@ from mavproxy_fault.live.failure_command import (
 )
 from mavproxy_fault.live.rflysim import read_map
 from mavproxy_fault.proxy.engine import Engine
-from mavproxy_fault.proxy.senders import LINKS
+from mavproxy_fault.proxy.senders import LINKS, new_senders
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
@@ -63,6 +63,7 @@ def control(*passed: str, vehicles: Sequence[int] = (1,), **options: bool) -> Li
     engine = Engine(Schedule(1))
     engine.start_at(1_000_000)
     it = LiveControl(engine, **options)
+    it.senders = new_senders()
     for system in vehicles:
         it.senders[LINKS + (system << 8 | 1)] = 1
     for name in passed:

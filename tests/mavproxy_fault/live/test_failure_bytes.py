@@ -61,6 +61,7 @@ NO_CARRIER = (106, 109, 110)
 UNITS = [*SENSOR, *OWN, *MOTORS, *LINK, *NO_CARRIER]
 INSTANCES = (1, 2, 3)
 MASKS = (*range(16), 0xFFFF)
+PACKED: dict[tuple[int, int], list[tuple[tuple[str, int], int, bytes]]] = {}
 
 
 class Traffic:
@@ -80,11 +81,17 @@ class Traffic:
             for name, field in carried.items()
             for instance in (INSTANCES if field else (1,))
         ]
-        self.number = 0
+        self.unit, self.number = unit, 0
 
     def round(self) -> Iterable[tuple[tuple[str, int], int, bytes]]:
-        """One frame of every stream: its key, link and bytes."""
+        """One frame of every stream: its key, link and bytes; the same for each case of a unit."""
         self.number += 1
+        if (self.unit, self.number) not in PACKED:
+            PACKED[self.unit, self.number] = list(self.packed())
+        return PACKED[self.unit, self.number]
+
+    def packed(self) -> Iterator[tuple[tuple[str, int], int, bytes]]:
+        """The frames of a round, packed by pymavlink."""
         for place, (name, field, instance) in enumerate(self.streams):
             kind = next(one for one in judge.mavlink_map.values() if one.msgname == name)
             values = {n: self.value(n, t, c) for n, t, c in zip(
