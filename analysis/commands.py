@@ -175,7 +175,7 @@ def add_report(commands: Any) -> None:
     option("--out DIR", "output folder (default: LOG-report)")
     option("--figures", "also write plots as PNG, SVG, PDF")
     export = "export the data as tables or the tracks as map files"
-    option("--export", export, choices=("csv", "parquet", "mcap", "kml", "geojson"))
+    option("--export", export, choices=("csv", "parquet", "mcap", "rerun", "kml", "geojson"))
     option("--pdf", "also write a PDF (needs a browser)")
     data = "fields for the page's search: MB megabytes in the page (2), or all beside it"
     option("--data MB|beside", data, default="2")

@@ -1,4 +1,5 @@
-"""Export logs as tables: CSV or Parquet (one file per message), or one MCAP file.
+"""Export logs as tables: CSV or Parquet (one file per message), or one file for Foxglove
+(MCAP) or Rerun.
 
 A column is a field as the log names it; arrays become columns `name[0]`, `name[1]`, ... Times are
 in microseconds as in the log.
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from analysis.recordings.flight_logs.autopilot_logs import is_autopilot_log, read_topics
 from analysis.report.curves.recording import FlightData
 from analysis.report.foxglove_views import write_views
+from analysis.report.rerun_views import write_rerun
 from analysis.results import encode, read_results
 from mavproxy_fault.documents.extras import import_extra
 from mavproxy_fault.wire import tlog
@@ -26,7 +28,7 @@ TIMES = ("t_us", "timestamp", "TimeUS")
 
 
 def export_tables(paths: Sequence[Path], folder: Path, form: str, recording: FlightData) -> None:
-    """Write the tables of logs (or of a run folder) to `folder` as csv, parquet or mcap.
+    """Write the tables of logs (or of a run folder) to `folder` as csv, parquet, mcap or rerun.
 
     Raises
     ------
@@ -39,6 +41,9 @@ def export_tables(paths: Sequence[Path], folder: Path, form: str, recording: Fli
         target.mkdir(exist_ok=True)
         if form == "mcap":
             _write_mcap(target / f"{path.stem}.mcap", path, recording)
+            continue
+        if form == "rerun":
+            write_rerun(target / f"{path.stem}.rrd", recording, _timed_tables(path))
             continue
         for name, table in read_tables(path):
             if form == "csv":
@@ -63,6 +68,13 @@ def read_tables(path: Path, *, with_results: bool = True) -> Iterator[tuple[str,
         return
     for name, rows in tlog.read_columns(path).items():
         yield name, _flat(rows)
+
+
+def _timed_tables(path: Path) -> Iterator[tuple[str, Table]]:
+    """The messages with a time, which is their column `t_us`."""
+    for name, table in read_tables(path, with_results=False):
+        if time := next((key for key in TIMES if key in table), None):
+            yield name, {"t_us": table.pop(time), **table}
 
 
 def _flat(rows: NDArray[np.void]) -> Table:

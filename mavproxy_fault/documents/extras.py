@@ -9,7 +9,8 @@ from typing import Any
 from mavproxy_fault.documents.errors import ConfigError
 
 LOG = logging.getLogger(__name__)
-DISTRIBUTIONS = {"foxglove": "foxglove-sdk"}  # whose name is not that of their module
+# Whose name is not that of their module.
+DISTRIBUTIONS = {"foxglove": "foxglove-sdk", "rerun": "rerun-sdk"}
 
 
 def import_extra(name: str) -> Any:
