@@ -321,46 +321,42 @@ def running_proxies(keys: Sequence[str]) -> list[str]:
     return sorted(key[len(start) : -len(end)] for key in keys if key.endswith(end))
 
 
-def join_bus(choice: str, run: str, config_file: str = "") -> Bus:
-    """Open the bus at `auto` (the default address) or an address as router, else as client.
+def join_bus(choice: str, run: str, config_file: str = "", *, without: str) -> Bus | None:
+    """Open the bus as its router, or as a client if there is one already; None for `off`.
+
+    `choice` is an address, `off`, or `auto` (the default address): where that is another user's,
+    what goes on `without` a bus is logged and None returned.
 
     Raises
     ------
     ConfigError
-        If neither is possible.
+        If a given address, or one of a configuration file, cannot be used.
     """
+    if choice == "off":
+        return None
     try:
         return open_bus(choice, run=run, router=True, config_file=config_file)
     except ConfigError as error:
-        try:
-            # Another process is already the router.
+        with contextlib.suppress(ConfigError):  # another process may already be the router
             return open_bus(choice, run=run, config_file=config_file)
-        except ConfigError:
-            raise error from None
+        if choice != "auto" or config_file:
+            raise
+        LOG.warning("%s: %s", without, error)
+        return None
 
 
 @contextlib.contextmanager
 def open_run_bus(
     choice: str, run: str, component: str = "run", config_file: str = ""
 ) -> Iterator[Bus | None]:
-    """Open the bus of a run as the router, or as a client if there is one already.
-
-    `choice` is `auto` (the default address, or no bus if another user has it), `off` or an address.
+    """Open the bus of a run, as `join_bus` does, and close it at the end.
 
     Raises
     ------
     ConfigError
-        If `choice` is an address where neither is possible.
+        As `join_bus`.
     """
-    bus = None
-    if choice != "off":
-        try:
-            bus = join_bus(choice, run, config_file)
-        # An explicit address must work; `auto` may go without a bus.
-        except ConfigError as error:
-            if choice != "auto" or config_file:
-                raise
-            LOG.warning("nothing is published: %s", error)
+    bus = join_bus(choice, run, config_file, without="nothing is published")
     if bus is None:
         yield None
         return

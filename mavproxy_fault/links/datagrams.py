@@ -15,33 +15,28 @@ MAX_DATAGRAM = 65_536  # a shorter buffer would truncate silently
 V4, V6 = struct.Struct("=H2s4s8x"), struct.Struct("=H2s4s16sI")  # sockaddr_in, sockaddr_in6
 
 
-class DatagramSocket:
-    """One non-blocking socket."""
-
-    def __init__(self, sock: socket.socket) -> None:
-        self._sock = sock
-
-    def receive(self) -> list[tuple[bytes, bytes]]:
-        """Return raw address and bytes of waiting datagrams, at most 64."""
-        datagrams: list[tuple[bytes, bytes]] = []
-        while len(datagrams) < BATCH:
-            try:
-                data, address = self._sock.recvfrom(MAX_DATAGRAM)
-            except OSError:  # no datagram waits, or an earlier one that we sent was refused
-                break
-            datagrams.append((_raw(address), data))
-        return datagrams
-
-    def send(self, data: bytes, address: bytes | None = None) -> bool:
-        """Send one datagram; return False if the kernel did not accept it."""
+def receive_datagrams(sock: socket.socket) -> list[tuple[bytes, bytes]]:
+    """Return raw address and bytes of a socket's waiting datagrams, at most 64."""
+    datagrams: list[tuple[bytes, bytes]] = []
+    while len(datagrams) < BATCH:
         try:
-            if address is None:
-                self._sock.send(data)
-            else:
-                self._sock.sendto(data, _pair(address))
-        except OSError:
-            return False
-        return True
+            data, address = sock.recvfrom(MAX_DATAGRAM)
+        except OSError:  # no datagram waits, or an earlier one that we sent was refused
+            break
+        datagrams.append((_raw(address), data))
+    return datagrams
+
+
+def send_datagram(sock: socket.socket, data: bytes, address: bytes | None = None) -> bool:
+    """Send one datagram; return False if the kernel did not accept it."""
+    try:
+        if address is None:
+            sock.send(data)
+        else:
+            sock.sendto(data, _pair(address))
+    except OSError:
+        return False
+    return True
 
 
 def _raw(address: tuple[str, int] | tuple[str, int, int, int]) -> bytes:

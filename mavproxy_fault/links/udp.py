@@ -4,7 +4,7 @@ import socket
 import struct
 import time
 
-from mavproxy_fault.links.datagrams import DatagramSocket
+from mavproxy_fault.links.datagrams import receive_datagrams, send_datagram
 from mavproxy_fault.links.link import Chunk, LinkCounters, enlarge_buffers, host_port
 from mavproxy_fault.links.peers import Peers
 
@@ -38,7 +38,6 @@ class _UdpSocket:
     def __init__(self, host: str, port: int, *, listen: bool) -> None:
         self.sock = _open(host, port, listen=listen)
         self.counters = LinkCounters()
-        self._datagrams = DatagramSocket(self.sock)
 
     @property
     def lost_in_kernel(self) -> int:
@@ -49,13 +48,32 @@ class _UdpSocket:
         """The socket's descriptor."""
         return [self.sock.fileno()]
 
+    def register(self, address: bytes, data: bytes, now_s: float | None = None) -> bool:
+        """Record that an address sent a datagram; return whether it is admitted."""
+        return True
+
+    def read(self) -> list[Chunk]:
+        """Return waiting datagrams."""
+        chunks: list[Chunk] = []
+        counters = self.counters
+        now_s = time.monotonic()
+        for address, data in receive_datagrams(self.sock):
+            counters.chunks_in += 1
+            counters.bytes_in += len(data)
+            if not self.register(address, data, now_s):
+                counters.refused += 1
+            # UDP allows empty datagrams, but empty bytes would mean the end of a stream.
+            elif data:
+                chunks.append((0, data))
+        return chunks
+
     def _send(self, data: bytes, address: bytes | None = None) -> None:
         """Send and count; a refusal refers to an earlier datagram, and reporting clears it."""
         counters = self.counters
-        if not self._datagrams.send(data, address):
+        if not send_datagram(self.sock, data, address):
             # The kernel reported the refusal of an earlier datagram: try again.
             counters.errors += 1
-            if not self._datagrams.send(data, address):
+            if not send_datagram(self.sock, data, address):
                 counters.drops += 1
                 return
         counters.chunks_out += 1
@@ -80,23 +98,8 @@ class UdpServer(_UdpSocket):
         """Number of peers."""
         return len(self.peers.by_address)
 
-    def read(self) -> list[Chunk]:
-        """Return waiting datagrams; their senders become peers."""
-        chunks: list[Chunk] = []
-        counters = self.counters
-        now_s = time.monotonic()
-        for address, data in self._datagrams.receive():
-            counters.chunks_in += 1
-            counters.bytes_in += len(data)
-            if not self.register(address, data, now_s):
-                counters.refused += 1
-            # UDP allows empty datagrams, but empty bytes would mean the end of a stream.
-            elif data:
-                chunks.append((0, data))
-        return chunks
-
     def register(self, address: bytes, data: bytes, now_s: float | None = None) -> bool:
-        """Record that an address sent a datagram; return whether it is admitted."""
+        """Record that an address sent a datagram, which makes it a peer if it is admitted."""
         return self.peers.register(address, data, time.monotonic() if now_s is None else now_s)
 
     def write(self, data: bytes) -> None:
@@ -114,17 +117,6 @@ class UdpClient(_UdpSocket):
         super().__init__(host, port, listen=False)
         self.name = f"udpout:{host_port(host, port)}"
         self.peer_count = 1  # UDP cannot know whether the address has a listener
-
-    def read(self) -> list[Chunk]:
-        """Return waiting datagrams."""
-        chunks: list[Chunk] = []
-        counters = self.counters
-        for _, data in self._datagrams.receive():
-            counters.chunks_in += 1
-            counters.bytes_in += len(data)
-            if data:
-                chunks.append((0, data))
-        return chunks
 
     def write(self, data: bytes) -> None:
         """Send one datagram."""

@@ -183,15 +183,8 @@ class LiveSession:
         ConfigError
             If a given URL cannot be used, or the run's name is taken.
         """
-        if zenoh == "off":
-            return
-        try:
-            bus = join_bus(zenoh, run or DEFAULT_RUN, config_file)
-        # A given URL must work; `auto` may fail.
-        except ConfigError as error:
-            if zenoh != "auto" or config_file:
-                raise
-            LOG.warning("no live control: %s", error)
+        bus = join_bus(zenoh, run or DEFAULT_RUN, config_file, without="no live control")
+        if bus is None:
             return
         names = [] if bus.is_router else running_proxies(bus.list_components())
         if run in names:

@@ -5,6 +5,7 @@ today's common.xml and counts; the tests try a part of them. The judge is a tabl
 common.xml, and pymavlink, which packs and reads all frames.
 """
 
+import random
 import sys
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -15,9 +16,12 @@ from pymavlink.dialects.v20 import all as judge
 
 from mavproxy_fault.live.control import LiveControl
 from mavproxy_fault.live.edit_log import join_live_control
+from mavproxy_fault.live.failure_command import FailureRequest
 from mavproxy_fault.proxy.core import Core, LinkRole, Send
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
+from mavproxy_fault.wire.dialect import message_layout
+from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import latest_labels
 
 VEHICLE, SIMULATOR, STATION, OTHER_STATION = range(4)
@@ -62,6 +66,12 @@ UNITS = [*SENSOR, *OWN, *MOTORS, *LINK, *NO_CARRIER]
 INSTANCES = (1, 2, 3)
 MASKS = (*range(16), 0xFFFF)
 PACKED: dict[tuple[int, int], list[tuple[tuple[str, int], int, bytes]]] = {}
+# For `main`: each further bit (two beyond the standard's sixteen instances), and any of them.
+WIDE_MASKS = (
+    *MASKS,
+    *(1 << n for n in range(4, 18)),
+    *random.Random(1).sample(range(16, 0xFFFF), 20),
+)
 
 
 class Traffic:
@@ -130,9 +140,12 @@ def answers(sends: Iterable[Send]) -> list[tuple[int, int, int]]:
     return found
 
 
-def command(unit: float, kind: float, p3: float, p4: float, *, system: int = 1) -> bytes:
+def command(unit: float, kind: float, p3: float, p4: float, *, as_int: bool = False) -> bytes:
     sender = judge.MAVLink(None, 255, 190)
-    given = (system, 1, 420, 0, unit, kind, p3, p4, 0, 0, 0)
+    if as_int:
+        placed = (1, 1, 0, 420, 0, 0, unit, kind, p3, p4, 0, 0, 0)
+        return bytes(judge.MAVLink_command_int_message(*placed).pack(sender))
+    given = (1, 1, 420, 0, unit, kind, p3, p4, 0, 0, 0)
     return bytes(judge.MAVLink_command_long_message(*given).pack(sender))
 
 
@@ -173,7 +186,7 @@ def allowed_fields(unit: int, name: str, addressed: set[int]) -> set[str]:
     return OWN[unit][name][1]
 
 
-def judge_case(unit: int, kind: int, p3: float, p4: float) -> list[str]:
+def judge_case(unit: int, kind: int, p3: float, p4: float, *, as_int: bool = False) -> list[str]:
     """Inject one failure, then end it; return what is wrong."""
     core, traffic = started_core(), Traffic(unit)
     now_us = START_US
@@ -182,12 +195,12 @@ def judge_case(unit: int, kind: int, p3: float, p4: float) -> list[str]:
         for _, link, raw in traffic.round():
             core.received(link, raw, now_us)
     by_mask = p3 != p3
-    chosen = {n for n in range(1, 17) if int(p4) >> n - 1 & 1} if by_mask else {int(p3)}
+    chosen = {n for n in range(1, 33) if int(p4) >> n - 1 & 1} if by_mask else {int(p3)}
     everything = p4 == 0xFFFF if by_mask else p3 == 0
     has_instances = any(field for _, field, _ in traffic.streams)
     known = set(range(1, 17)) if unit in MOTORS else set(INSTANCES if has_instances else (1,))
     addressed = known if everything else chosen
-    sends = core.received(STATION, command(unit, kind, p3, p4), now_us)
+    sends = core.received(STATION, command(unit, kind, p3, p4, as_int=as_int), now_us)
     replied, forwarded = answers(sends), [one.link for one in sends if one.link == VEHICLE]
     unaddressed = by_mask and not chosen
     if unit in NO_CARRIER or not addressed <= known:
@@ -202,7 +215,8 @@ def judge_case(unit: int, kind: int, p3: float, p4: float) -> list[str]:
     now_us += (ROUNDS + 10) * ROUND_US  # delayed frames have left
     core.due(now_us)
     if active:
-        if answers(core.received(STATION, command(unit, 0, p3, p4), now_us))[0][1] != ACCEPTED:
+        ended = core.received(STATION, command(unit, 0, p3, p4, as_int=as_int), now_us)
+        if answers(ended)[0][1] != ACCEPTED:
             wrong.append("ok was not accepted")
         wrong += [f"after ok: {one}" for one in judge_rounds(core, traffic, unit, now_us, set())]
     return wrong
@@ -271,6 +285,20 @@ def test_a_failure_changes_the_bytes_of_its_unit_and_instances_only(unit: int) -
         assert judge_case(unit, kind, p3, p4) == [], (unit, kind, p3, p4)
 
 
+@pytest.mark.parametrize("unit", [0, 101])
+def test_command_int_says_the_same_as_command_long(unit: int) -> None:
+    for kind, p3, p4 in cases([1], (0, 2, 4), (0b101, 0b1000)):
+        assert judge_case(unit, kind, p3, p4, as_int=True) == [], (unit, kind, p3, p4)
+
+
+def test_every_bitmask_addresses_the_instances_of_its_bits() -> None:
+    layout = message_layout("COMMAND_LONG")
+    for mask in range(1, 0x20000, 1 if __name__ == "__main__" else 41):
+        request = FailureRequest.read(Frame(command(0, 1, NAN, mask), layout))
+        bits = tuple(n + 1 for n in range(17) if mask >> n & 1)
+        assert request.instances == (() if mask == 0xFFFF else bits)
+
+
 def test_a_failure_that_the_schedule_commands_is_labelled_as_the_autopilot_s() -> None:
     entry = {"id": "native", "fault": "command", "number": 420, "params": [0, 1, 2],
              "afterwards": [0, 0, 2], "for_s": 5}  # fmt: skip
@@ -297,13 +325,15 @@ def test_a_failure_that_the_schedule_commands_is_labelled_as_the_autopilot_s() -
 
 def main() -> int:
     """Try everything; print the number of cases and of what is wrong."""
+    test_every_bitmask_addresses_the_instances_of_its_bits()
     count: Counter[str] = Counter()
-    for unit in UNITS:
-        for kind, p3, p4 in cases(TYPES, NUMBERS, MASKS):
-            count["cases"] += 1
-            for line in judge_case(unit, kind, p3, p4):
-                count["wrong"] += 1
-                print(f"unit {unit}, type {kind}, param 3 {p3}, param 4 {p4}: {line}", flush=True)
+    forms = [(unit, *case, False) for unit in UNITS for case in cases(TYPES, NUMBERS, WIDE_MASKS)]
+    forms += [(unit, *case, True) for unit in UNITS for case in cases([1, 4], NUMBERS, MASKS)]
+    for unit, kind, p3, p4, as_int in forms:
+        count["cases"] += 1
+        for line in judge_case(unit, kind, p3, p4, as_int=as_int):
+            count["wrong"] += 1
+            print(f"unit {unit}, type {kind}, param 3 {p3}, param 4 {p4}: {line}", flush=True)
     print(f"{count['cases']} cases, {count['wrong']} wrong")
     return bool(count["wrong"])
 
