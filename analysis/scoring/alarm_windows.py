@@ -91,13 +91,8 @@ def windows_of(alarms: Iterable[Alarm], epoch_us: int = 0) -> list[AlarmWindow]:
         gap_us = by_epoch_us if alarm.channel in EPOCH_CHANNELS else MERGE_GAP_US
         if at is not None and alarm.t_us - merged[at].end_us <= gap_us:
             window = merged[at]
-            merged[at] = AlarmWindow(
-                *key,
-                window.start_us,
-                alarm.t_us,
-                window.count + 1,
-                window.isolated or alarm.isolated,
-            )
+            count, isolated = window.count + 1, window.isolated or alarm.isolated
+            merged[at] = AlarmWindow(*key, window.start_us, alarm.t_us, count, isolated)
         else:
             newest[key] = len(merged)
             merged.append(AlarmWindow(*key, alarm.t_us, alarm.t_us, 1, alarm.isolated))

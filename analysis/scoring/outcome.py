@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 
+from analysis.detection.actuators.alarm_precedence import FOREVER_US
 from analysis.results import OR_SEPARATOR
 from analysis.scoring.alarm_windows import AlarmWindow, subtract_intervals
 from analysis.scoring.fault_channels import (
@@ -21,8 +22,6 @@ from analysis.scoring.fault_channels import (
 from mavproxy_fault.wire.label import Label
 
 RECOVERY_S = 10.0  # alarms up to this long after a fault are its aftermath: until readmission
-# Later than any stamp, without overflow in sums.
-NEVER_US = 1 << 62
 
 ISOLATED, WRONG, AMBIGUOUS, DETECTED = "isolated", "wrong", "ambiguous", "detected"
 LATE, MISSED, NOT_JUDGED = "late", "missed", "not judged"
@@ -106,7 +105,7 @@ def _fault_period(
     label: Label, epoch_us: int, witnesses: frozenset[str] = frozenset()
 ) -> _FaultPeriod:
     # A fault still acting at the end of the log.
-    end_us = NEVER_US if label.end_us is None else label.end_us
+    end_us = FOREVER_US if label.end_us is None else label.end_us
     # An excluded sensor looks healthy from the first epoch on and is readmitted later.
     aftermath_us = end_us + epoch_us + round(RECOVERY_S * 1e6)
     visibility = fault_visibility(label)

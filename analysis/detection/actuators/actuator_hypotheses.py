@@ -21,11 +21,15 @@ from analysis.samples.sample import Vector
 OUTLIER_STATISTIC = 16.8  # m' inv(V) m above which learning pauses: chi2inv(0.99, 6)
 # Gains over no hypothesis and the next one: no false isolation in benchmarks/actuator_watch.py.
 DETECTION_SCORE, ISOLATION_SCORE = 25.0, 8.0
-# Largest remainder: chi2inv(0.999, 6) is 22.5; the share allows for a nonlinear effect.
+# Largest remainder: chi2inv(0.999, 6) is 22.5; the share allows for a nonlinear effect. Without it
+# a faulty pitot tube is a weak elevator.
 MOST_LEFT, MOST_LEFT_SHARE = 22.0, 0.08
-LEAST_DEFICIT = 0.05  # of full command; chosen: smaller deficits do not matter
-ROTOR_LIFT_MPS2 = -2.0  # at full command: a fifth of the weight; less lift is no rotor
-ROLL, PITCH = range(2)  # of the angular axes
+# Of full command; else a load is suspected beside the elevator (benchmarks/actuator_watch.py).
+LEAST_DEFICIT = 0.05
+# A rotor rarely does more than commanded: without this `propeller-damage` is a stronger motor
+# (benchmarks/preset_table.py). Less lift than a fifth of the weight is no rotor.
+RAISED_PENALTY, ROTOR_LIFT_MPS2 = 8.0, -2.0
+ROLL, PITCH, YAW = range(3)  # of the angular axes
 MOST_LOAD_DEFICIT = 0.5  # elevator deficit that a shifting load can cause
 NO_HYPOTHESIS, LOAD, PITOT = -1, COMMANDS, COMMANDS + 1  # stand for an actuator's index
 
@@ -91,9 +95,16 @@ def _score_hypothesis(
 ) -> tuple[float, int, float, float]:
     """Score, actuator, deficit and remainder of a hypothesis, from a first guess of the deficit and
     the variance (AXES,) that the actuator's effect then adds."""
-    own = covariance + np.diag(variance + (guess * EFFECT_SIGMA_SHARE * effect) ** 2)
+    unknown = guess * EFFECT_SIGMA_SHARE * effect
+    rotor = effect[DOWN] < ROTOR_LIFT_MPS2
+    if rotor:
+        # A broken propeller loses lift but keeps its drag, which yaws the body.
+        unknown[YAW] = guess * effect[YAW]
+    own = covariance + np.diag(variance + unknown**2)
     information = np.linalg.inv(own)
     along, known = effect @ information @ mean, effect @ information @ effect
     remaining = mean @ information @ mean - along * along / known
     score = remaining + np.linalg.slogdet(own)[1]
+    if rotor and along > 0.0:
+        score += RAISED_PENALTY
     return float(score), i, float(-along / known), float(remaining)

@@ -43,17 +43,18 @@ from analysis.samples.block import (
 from analysis.samples.sample import IMU_VALUE_LIMIT, Vector
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 
-# 3 s of flight before the first test, chosen: the model's constants have settled
-LEARNED_BINS = 30
-NONLINEAR_SHARE = 0.02  # nonlinearity of a learned effect, chosen
+LEARNED_BINS = 30  # 3 s of flight before the first test: a constant is known to a fifth of a bin
+# Of a learned effect: thrust grows with the square of the command, which moves by 2 % in hover.
+NONLINEAR_SHARE = 0.02
 MOST_OUTLIER_BINS = 30  # 3 s; a longer run of outliers is changed noise or no actuator's fault
 NOMINAL_BINS = 10  # without a hypothesis until learning resumes: 1 s
-# bins in a row that confirm one hypothesis, or two that are not separable; chosen: 0.3 s, 1.2 s
+# Bins in a row that confirm one hypothesis, or two that are not separable: most pairs separate in
+# 1.2 s (benchmarks/actuator_watch.py: 0.3 s of the delays).
 SINGLE_BINS, PAIR_BINS = 3, 12
 # A smaller deficit may be a gust; no gust lasts 0.8 s (benchmarks/actuator_watch.py).
 SLIGHT_DEFICIT, SLIGHT_BINS = 0.15, 8
 REPEAT_ISOLATED_BINS, REPEAT_NOMINAL_BINS = 5, 10  # bins between two results
-# chosen: above the errors of a receiver's height and speed; below REST_SPEED_MPS it stands
+# Ten sigma of a receiver's velocity (0.3 m/s) and two of its height (1.5 m); at rest, 1.7 sigma.
 FLYING_HEIGHT_M, FLYING_SPEED_MPS, REST_SPEED_MPS = 3.0, 3.0, 0.5
 ELEVATOR = "elevator"  # only vehicles with wings have one
 BY_FIRST_FIX = -1.0  # the first fix decides
@@ -64,8 +65,9 @@ GAP_US = 500_000  # without an IMU sample the motion begins anew
 LATE_US, IRREGULAR_BINS, LAG_SHARE = 60_000, 10, 0.02
 SPARSE_COMMAND_US = 60_000  # longer intervals hide what motors (lag 40 ms) do in between
 MOST_COMMAND = 100.0  # no output exceeds 1; larger values come from corrupted logs
-IMPACT_BINS = 50  # 5 s; chosen: until a vehicle that has hit the ground lies still
-# r above which learning pauses, below LEAST_EXPLAINED, and for how many bins at most; chosen
+IMPACT_BINS = 50  # 5 s: until what has hit the ground lies still; ArduPilot's crash check waits 2 s
+# r above which learning pauses (3.5 sigma), and for how many bins at most: without it no stuck
+# elevator or rudder is isolated (benchmarks/actuator_watch.py).
 DOUBT_STATISTIC, MOST_DOUBTFUL_BINS = 12.0, 200
 
 

@@ -12,13 +12,11 @@ import numpy as np
 from analysis.samples.sample import Vector
 
 COMMANDS = 12  # outputs of an autopilot in a sample, and the most actuators of a vehicle
-AXES, ANGULAR = 6, 3
+AXES, ANGULAR = 6, 3  # all, and those that turn
 FORWARD, FORWARD_BY_AIRSPEED, DOWN = range(ANGULAR, AXES)
 # First column of each kind of term in a row of coefficients; `TERMS` in all.
-CONSTANT, OUTPUT, RATE = 0, 1, 1 + COMMANDS
-FORCE = RATE + 3
-AIRSPEED = FORCE + 2
-TERMS = AIRSPEED + 1
+CONSTANT, OUTPUT, RATE, FORCE = 0, 1, 1 + COMMANDS, 4 + COMMANDS
+AIRSPEED, TERMS = 6 + COMMANDS, 7 + COMMANDS  # the last
 CONSTANT_SIGMA = 30.0  # of an axis before the flight: three times the weight, for any trim
 EFFECT_SIGMA_SHARE = 0.15  # one sigma of a coefficient and of its nonlinearity, chosen
 # Smallest sigma, chosen: a share of the largest of its kind; rates in 1/s, forces in rad/m

@@ -11,13 +11,12 @@ import numpy as np
 from analysis.detection.actuators.effects import COMMANDS
 from analysis.samples.sample import Vector
 
-BIN_US = 100_000  # chosen: a few lags of a motor
-NEVER_BIN = -(1 << 40)
+BIN_US = 100_000  # 2.5 lags of a motor (40 ms): its response is 92 % complete
+NEVER_BIN = -(1 << 40)  # no bin's number
 
 # Of `sums`: samples, their times in the bin, rates, specific force, lagged commands, airspeed
 COUNT, TIME, RATES, FORCES, LAGGED = 0, 1, 2, 5, 8
-AIR = LAGGED + COMMANDS
-WIDTH = AIR + 1
+AIR, WIDTH = LAGGED + COMMANDS, LAGGED + COMMANDS + 1  # the last, and how many
 AIR_LASTS_US = 300_000  # validity of an airspeed: three intervals at 10 Hz
 
 

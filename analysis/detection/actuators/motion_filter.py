@@ -34,7 +34,7 @@ from analysis.detection.actuators.motion_bins import BIN_US
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
-BIN_S = BIN_US / 1e6
+BIN_S = BIN_US / 1e6  # the same
 # Time constants of m, of C and the constant term, chosen.
 SHORT_S, LONG_S, CONSTANT_S = 0.5, 60.0, 20.0
 EARLY_SHARE = 3.0  # a memory is at most a third of the flight so far, or its start would dominate
@@ -45,7 +45,6 @@ NOISE_PER_SPREAD = 3.0
 FIRST_SPREAD = 0.03  # variance of m before the flight, chosen
 UNOBSERVED_VARIANCE = 1e6  # variance of an axis that is not observed
 MOST_SIGMAS = 3.0  # e is clipped to three sigma: p 0.3 %
-MOST_SPEED_RATIO = 2.0  # bound of the airspeed's scale, in cruise speeds
 MEAN_OUTLIER_STATISTIC = 10.0  # m' inv(V) m above which m has less weight in C: chi2inv(0.875, 6)
 # A learned rotor: 5 sigma (p 6e-7), and some lift, part of which reactions to gusts hide.
 KNOWN_SIGMAS, LEARNED_LIFT_MPS2 = 5.0, -0.3
@@ -100,8 +99,7 @@ class MotionModel:
         scaled = np.tile(terms, (AXES, 1))
         scaled[DOWN, FORCE:] = 0.0
         if terms[AIRSPEED] > 0.0:
-            ratio = min(MOST_SPEED_RATIO, terms[AIRSPEED] / self.effects.cruise_mps)
-            scaled[:ANGULAR] *= ratio**self.effects.powers
+            scaled[:ANGULAR] *= (terms[AIRSPEED] / self.effects.cruise_mps) ** self.effects.powers
         return scaled
 
     def covariance(self) -> Vector:

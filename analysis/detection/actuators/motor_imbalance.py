@@ -15,15 +15,15 @@ from analysis.detection.actuators.switched_off import MOTOR_RISE, OutputStates
 from analysis.samples.sample import Vector
 
 MOTOR_COUNT = 4  # a controller has four demands: the effects of more are not separable
-# Memories of the mean, of the usual mean and of its spread, chosen.
+# Memories: of the mean, ten outputs at 10 Hz; of the usual mean, longer than turns; of its spread.
 FAST_S, SLOW_S, SPREAD_S = 1.0, 20.0, 60.0
 LEARNING_S = 15.0  # of flight before the first test: the slow mean has settled
-CONFIRM_S, RECOVER_S, REPEAT_S = 1.5, 1.0, 1.0  # chosen
+CONFIRM_S = 1.5  # a step is then to 78 % in the mean
 LEAST_RAISE = 0.08  # of a motor's command: 20 % of its power, as thrust grows with the square
 RAISE_SIGMAS = 6.0  # of the usual spread: p 2e-9 of a normal distribution
-MOST_SPREAD = 0.12  # limit of these sigmas: outputs that are more uneven are not tested, chosen
-MOST_LEFT_SHARE = 0.35  # largest remainder as a share of g, chosen: a pair of motors leaves 1.2
-LEAST_SPREAD = 0.004  # chosen: keeps very even outputs from raising the score
+MOST_SPREAD = 0.12  # limit of these sigmas, 1.5 raises: outputs that are more uneven are not tested
+MOST_LEFT_SHARE = 0.35  # largest remainder as a share of g: a third of what a pair of motors leaves
+LEAST_SPREAD = 0.004  # resolution of an output: 1 us of a rise by 250
 BALANCED = -1  # in place of a motor
 
 
@@ -72,14 +72,14 @@ class MotorTrim:
         if not tested or (self.isolated == BALANCED and usual):
             self._learn(dt_s)
         if self.isolated == BALANCED and self.hypothesis_s >= CONFIRM_S:
-            self.isolated, self.normal_s, self.since_result_s = who, 0.0, REPEAT_S
+            self.isolated, self.normal_s, self.since_result_s = who, 0.0, FAST_S
         elif self.isolated != BALANCED:
             normal = (self.fast - self.slow)[self.isolated] < LEAST_RAISE / 2.0
             self.normal_s = self.normal_s + dt_s if normal else 0.0
-            if self.normal_s >= RECOVER_S:
-                self.isolated, self.since_result_s = BALANCED, REPEAT_S
+            if self.normal_s >= FAST_S:
+                self.isolated, self.since_result_s = BALANCED, FAST_S
         self.since_result_s += dt_s
-        if not tested or self.since_result_s < REPEAT_S:
+        if not tested or self.since_result_s < FAST_S:
             return None
         self.since_result_s = 0.0
         return self.isolated

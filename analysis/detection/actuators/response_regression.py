@@ -40,7 +40,7 @@ from analysis.samples.sample import Vector
 HYPOTHESES = COMMANDS + 2  # actuators, LOAD and PITOT
 BINS_PER_STEP = 5  # bins of a step: half a second
 RETENTION = 0.95  # per step: a memory of 10 s
-INITIAL_SPREADS = 2.0  # V before the flight, in covariances of m, chosen
+INITIAL_SPREADS = 2.0  # V before the flight, in covariances of m: half seconds are shorter than m
 TRIM_VARIANCES = 4.0  # variance of the trim over V, chosen
 STUCK_LEAST_EXPLAINED = 6.0  # r that the free constant has to add, chosen
 STUCK_SHARE = 0.4  # least g of an actuator that has been stuck for some seconds

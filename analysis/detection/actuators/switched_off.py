@@ -13,12 +13,14 @@ from analysis.samples.sample import Vector
 
 # in thousands of us above the ground value: it drives a motor (10 % of the usual range)
 MOTOR_RISE = 0.1
-OFF_SHARE, WORKING_SHARE = 0.03, 0.5  # Shares of the average rise: off, and working; chosen.
-OFF_US = 500_000  # confirmation time, chosen: five outputs of a log at 10 Hz
+# Shares of the average rise: off, and working. ArduCopter's least output in flight is 15 % of the
+# range (MOT_SPIN_MIN).
+OFF_SHARE, WORKING_SHARE = 0.03, 0.5
+OFF_US = 500_000  # five outputs of a log at 10 Hz
 AVERAGE_SHARE = 0.02  # weight of a new output in the average: 50 outputs
 LEAST_WORKING = 2  # other motors that still work
 PARKED_COUNT = 3  # motors that are off together are parked
-UNKNOWN_US = -1
+UNKNOWN_US = -1  # before any stamp
 
 
 @dataclass(slots=True)

@@ -20,7 +20,8 @@ from analysis.samples.block import IMU, MAG, NEVER_US, Block
 
 # The smallest range of common gyros is 250 degrees/s (4.36 rad/s), a little less if calibrated.
 GYRO_RANGE_RPS = 4.0
-# Largest relative change of a saturated rate, and samples in a row that confirm it; chosen.
+# Largest relative change of a saturated rate, from which 4 rad/s depart within 20 ms at 1 rad/s^2,
+# and samples in a row that confirm it.
 SATURATED_SHARE, SATURATED_SAMPLES = 0.005, 5
 TURNED_COSINE = 0.87758  # cosine of 0.5 rad, the turn of the field since a mark
 MARK_US = 500_000  # between marks of the field

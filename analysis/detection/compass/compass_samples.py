@@ -15,7 +15,7 @@ from analysis.results import SensorDecision
 from analysis.samples.block import FIX, IMU, IMU_ID, MAG, Block
 
 Axis = tuple[float, float, float]
-ZERO: Axis = (0.0, 0.0, 0.0)
+ZERO: Axis = (0.0, 0.0, 0.0)  # no field, no turn
 State = TypeVar("State")
 
 

@@ -28,9 +28,11 @@ from mavproxy_fault.numerics.constants import (
 
 Three = tuple[float, float, float]
 Nine = tuple[float, float, float, float, float, float, float, float, float]
-X_SIZE = 21
-ERROR_SIZE = 20
+# Numbers of the state, which has a quaternion, and of its error; then where their parts begin.
+X_SIZE, ERROR_SIZE = 21, 20
+# In the error: position, velocity, attitude, biases, clock, drift, the systems' offsets.
 R, V, PSI, BG, BA, CLOCK, DRIFT, ISB = 0, 3, 6, 9, 12, 15, 16, 17
+# In the state, where they differ.
 X_Q, X_BG, X_BA, X_CLOCK, X_DRIFT, X_ISB = 6, 10, 13, 16, 17, 18
 DT, GYRO, ACCEL, SAMPLE_COLUMNS = 0, 1, 4, 7  # columns of a sample, and how many
 # One sigma of the biases of cheap MEMS sensors at power-on; the filter narrows them in flight.

@@ -26,6 +26,7 @@ FACTOR_MEMORY_S = 60.0  # of the variance factor: multipath changes within a min
 INDEPENDENT_AFTER_S = 1.0  # epochs closer than this share their errors: they count for less
 ASSUMED_DOF = 10.0  # prior weight of a factor of 1: about one epoch of 14 satellites
 LEAST_FACTOR = 0.25  # no receiver is trusted beyond half the modelled sigma
+# North, east, down.
 AXES = 3
 VAGUE_INFORMATION = 1e-4  # 1/m^2, 100 m: of axes that no satellite observes
 

@@ -21,7 +21,6 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 SEA_LEVEL_PA = 101_325.0  # ICAO standard atmosphere, Doc 7488
 ISA_KELVIN, ISA_LAPSE, ISA_EXPONENT = 288.15, 6.5e-3, 5.25588  # the same: K, K/m, g M / (R L)
-DENSITY_EXPONENT = ISA_EXPONENT - 1.0
 LEAST_UPRIGHT = 0.7  # cosine of 45 degrees: a beam that is tilted more may miss the terrain below
 UNKNOWN_SLANT = 0.1  # of the distance: the error of an unknown tilt of up to 25 degrees, 1 - cos
 SLOW_AIR_MPS = 6.0  # below it 1 % of a 1 psi sensor's range (MS4525DO) is more than its 22 Pa
@@ -107,7 +106,7 @@ def pressure_altitude_m(pressure_pa: float) -> float:
 def density_kgpm3(altitude_m: float) -> float:
     """Density in the standard atmosphere below 11 km."""
     share = max(1.0 - ISA_LAPSE * altitude_m / ISA_KELVIN, 0.1)
-    return SEA_LEVEL_DENSITY_KGPM3 * math.pow(share, DENSITY_EXPONENT)
+    return SEA_LEVEL_DENSITY_KGPM3 * math.pow(share, ISA_EXPONENT - 1.0)
 
 
 def _offset_innovation(v: Vector, r: Vector, b: Vector | None) -> Innovation | SlowStates:

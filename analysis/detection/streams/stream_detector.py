@@ -37,12 +37,12 @@ LATE = "{:.2f} s late"
 SPARSE = "rate is {:.2f} of the usual"
 BURSTING = "{:.0f} samples at once"
 
-IMUS = 3
+IMUS = 3  # streams of their own
 STREAMS = ("imu", "imu", "imu", "mag", "baro", "airspeed", "range", "vision", "gps-position",
            "satellites", "link")  # fmt: skip
-# SampleStream by kind of sample, and how many of its numbers are measured; -1: shows only the time
+# SampleStream by kind of sample; -1: shows only the time, -2: has a time of its own.
 STREAM_OF = (0, 3, 4, 5, 6, 7, -1, -1, 8, 9, -2, -2, -2, -2)
-NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0, 0, 0)
+NUMBERS = (6, 3, 1, 1, 1, 3, 0, 0, 0, 0, 0, 0, 0, 0)  # how many are measured, by kind
 SHOWS_TIME = np.array(STREAM_OF) != -2  # broadcasts and samples with a time of their own do not
 
 TIME_JUMP_US = 200_000  # smallest jump ahead: an interval at 5 Hz

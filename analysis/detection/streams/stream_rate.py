@@ -10,12 +10,12 @@ from analysis.detection.detector_registry import USUAL_US
 
 # memories; the short one has at least so many samples
 LONG_S, SHORT_S, SHORT_SAMPLES = 60.0, 2.0, 20.0
-KNOWN_MEMORIES = 4.0  # short memories until a rate is known, chosen
+KNOWN_MEMORIES = 4.0  # short memories until a rate is known: 2 % of the beginning are left
 # least missing share, and in usual deviations; the 182 logs of docs/watches.md are below
 LEAST_MISSING, DEVIATION_FACTOR = 0.3, 4.0
-SINKING_SHARE = 0.15  # largest missing share of a regular stream, chosen: half of LEAST_MISSING
+SINKING_SHARE = LEAST_MISSING / 2.0  # largest missing share of a regular stream
 CONFIRM_S = 1.0  # of a sparse stream, until it is reported
-# least size of a burst, and in usual bursts; chosen on the 182 logs of docs/watches.md
+# least size of a burst, and in usual bursts; the 182 logs of docs/watches.md have none
 BURST, BURST_FACTOR = 5, 2
 
 

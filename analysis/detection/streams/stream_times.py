@@ -18,15 +18,14 @@ OWN_SOURCE = SOURCES.index("HIL_GPS")
 FIX_SOURCE = 10  # a fix's column of its source
 FIX_NUMBERS = 5  # of a fix: position and level velocity
 
-# samples after which a stream and its values are known, chosen
-LEARNED_SAMPLES, LEARNED_VALUES = 20, 200
-SHARE = 0.05  # weight of an interval in the usual one: 20 intervals
-SILENT_US = 500_000  # shortest silence, chosen
+# Weight of an interval in the usual one; samples after which that is known, and what values do.
+SHARE, LEARNED_SAMPLES, LEARNED_VALUES = 0.05, 20, 200
+SILENT_US = 500_000  # shortest silence: two samples at 5 Hz are missing
 RHYTHM_SAMPLES = 5  # samples after which a stream's interval is roughly known
-INTERVALS = 5.0  # least length of a silence in usual intervals, chosen
+INTERVALS = 5.0  # least silence in usual intervals: p 1e-5 on a link that loses a tenth
 PAUSE_FACTOR, FORGOTTEN_US = 1.5, 60e6  # of the longest recent pause: lossy logs and links; memory
-LATE_US, SPREAD_FACTOR = 300_000, 8.0  # least lateness, and in its usual spread; chosen
-FROZEN_STAMPS = 5  # equal stamps in a row, chosen
+LATE_US, SPREAD_FACTOR = 300_000, 8.0  # least lateness; in its mean deviation: six sigma, p 1e-9
+FROZEN_STAMPS = 5  # equal stamps in a row: as many as INTERVALS
 STILL_SAMPLES = 20  # a value that has legitimately repeated for 20 samples is exempt from the test
 
 
