@@ -5,8 +5,6 @@ import sys
 from collections.abc import Callable, Container
 from typing import TYPE_CHECKING
 
-import msgspec
-
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
@@ -17,6 +15,8 @@ LOG_WIDTH = 1000  # chosen: longer than any row, so that no table is cut in a fi
 def print_result(args: argparse.Namespace, data: object, show: str | Callable[[], None]) -> None:
     """Print a result as JSON if the command line asks for it, otherwise the text or by `show`."""
     if getattr(args, "json", False):
+        import msgspec  # here: the proxy starts without it
+
         print(msgspec.json.encode(data, enc_hook=str).decode())  # the paths of files
     elif callable(show):
         show()

@@ -179,6 +179,19 @@ def start_live(args: argparse.Namespace, engine: "Engine | None", server: Server
         coming.set_exception(error)
 
 
+def make_engine(args: argparse.Namespace) -> "Engine | None":
+    """The engine of `--schedule`; None without."""
+    if not args.schedule:
+        return None
+    from mavproxy_fault.proxy.engine import Engine
+    from mavproxy_fault.schedule.entries import read_schedule
+
+    engine = Engine(read_schedule(args.schedule), commands=args.allow_commands)
+    if engine.draws:  # or the first random draw would delay a frame
+        import numpy.random  # noqa: F401
+    return engine
+
+
 def main(args: argparse.Namespace) -> int:
     """`mavproxy-fault proxy`."""
     # Arguments are checked before any socket is opened.
@@ -187,16 +200,10 @@ def main(args: argparse.Namespace) -> int:
     for folder in args.files:
         if not Path(folder).is_dir():
             raise ConfigError(f"--files {folder}: is not a folder; give one with series files")
-    engine = None
     # `session.json` stores what a replay needs.
     session: dict[str, Any] = {"seed": None, "schedule": None, "inject": args.inject}
-    if args.schedule:
-        from mavproxy_fault.proxy.engine import Engine
-        from mavproxy_fault.schedule.entries import read_schedule
-
-        engine = Engine(read_schedule(args.schedule), commands=args.allow_commands)
-        if engine.draws:  # or the first random draw would delay a frame
-            import numpy.random  # noqa: F401
+    engine = make_engine(args)
+    if engine is not None:
         session |= {"seed": engine.seed, "schedule": Path(args.schedule).read_text()}
     if args.rflysim_map and args.rflysim is None:
         raise ConfigError("--rflysim-map: has no effect without --rflysim PORT; give that too")
