@@ -14,7 +14,6 @@ from analysis.detection.compass.compass_samples import ZERO, Axis, add, cross, d
 from analysis.detection.compass.turn_detector import (
     JUMP_RAD,
     JUMP_SHARE,
-    SIZE_SHARE,
     STEP_US,
     turn_alarm,
 )
@@ -44,12 +43,11 @@ JUMP_REPORTED_US = 4_000_000  # as long as TurnDetector compares with the time b
 
 @dataclass(slots=True)
 class _TurnBin:
-    """Sums of r and of the gyro's angle over a second, and the newest size of the field."""
+    """Sums of r and of the gyro's angle over a second."""
 
     r: Axis = ZERO
     angle: Axis = ZERO
     seconds: float = 0.0
-    size: float = 0.0
 
 
 @dataclass(slots=True)
@@ -89,11 +87,10 @@ class MeanTurnDetector(BlockDetector, frozen=True):
 def _add_gyro(t_us: int, rates: Axis, state: MeanTurnState) -> None:
     """Add a gyro sample to the angle."""
     elapsed_us = t_us - state.gyro_us
-    most_us = min(INTERVALS * state.interval_us, LONGEST_US)
     if 0 <= elapsed_us <= LONGEST_US:
         share = MEMORY if state.interval_us > 0.0 else 1.0
         state.interval_us += share * (elapsed_us - state.interval_us)
-    if not all(map(math.isfinite, rates)) or not 0 <= elapsed_us <= most_us:
+    if not all(map(math.isfinite, rates)) or not 0 <= elapsed_us <= INTERVALS * state.interval_us:
         state.field_us = NEVER_US
     else:
         state.angle = add(state.angle, add(rates, state.rates), 0.5e-6 * elapsed_us)
@@ -123,7 +120,6 @@ def _add_field(t_us: int, m: Axis, state: MeanTurnState) -> SensorDecision | Non
         newest = state.bins[-1]
         newest.r, newest.angle = add(newest.r, r), add(newest.angle, state.angle)
         newest.seconds += 1e-6 * since_us
-        newest.size = size
         if _field_jumped(t_us, r, 1e-6 * since_us, state):
             jumped_deg = math.degrees(math.hypot(*state.jump))
             reason = f"the field jumped by {jumped_deg:.0f} degrees, the gyro did not turn"
@@ -162,7 +158,7 @@ def _test_bins(state: MeanTurnState) -> float:
         r, angle = add(r, cell.r), add(angle, cell.angle)
     turned_rad = math.hypot(*r)
     rate = turned_rad / seconds
-    steady = abs(bins[-1].size - bins[0].size) <= SIZE_SHARE * bins[0].size and all(
+    steady = all(
         dot(cell.r, r) / max(turned_rad, 1e-9) >= BIN_SHARE * rate * cell.seconds for cell in bins
     )
     limit = max(LEAST_RPS, USUAL_FACTOR * state.rate) + TURN_SHARE * math.hypot(*angle) / seconds

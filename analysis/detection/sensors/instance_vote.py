@@ -40,9 +40,10 @@ from mavproxy_fault.numerics.rotations.rotation import wrap_angles
 
 MOST_INSTANCES = 3  # of one kind
 LEARNED_WINDOWS, MEMORY_WINDOWS = 10, 60  # before the first test, of the usual difference
-CHANGE_SIGMAS, CONFIRM_WINDOWS = 8.0, 3  # windows in a row; chosen on benchmarks/instance_votes.py
+CHANGE_SIGMAS = 8.0  # half or twice changes no row of benchmarks/instance_votes.py; p 1e-15
+CONFIRM_WINDOWS = 3  # in a row: one or two are a manoeuvre; each takes 0.5 to 2 s
 STANDARD_ERRORS = 4.0  # of the difference of two means: vibration is not the same everywhere
-NOISE_GAIN = np.log(16.0)  # of a variance: four times the usual noise, which no flight adds to one
+NOISE_GAIN = np.log(16.0)  # of a variance: with half of it ArduCopter's healthy IMUs are noisy
 PAIRS = tuple(combinations(range(MOST_INSTANCES), 2))
 METRES_PER_PASCAL = 1.0 / (SEA_LEVEL_DENSITY_KGPM3 * STANDARD_GRAVITY_MPS2)  # 0.0832, hydrostatic
 

@@ -23,8 +23,7 @@ SHARE, LEARNED_SAMPLES, LEARNED_VALUES = 0.05, 20, 200
 SILENT_US = 500_000  # shortest silence: two samples at 5 Hz are missing
 RHYTHM_SAMPLES = 5  # samples after which a stream's interval is roughly known
 INTERVALS = 5.0  # least silence in usual intervals: p 1e-5 on a link that loses a tenth
-PAUSE_FACTOR, FORGOTTEN_US = 1.5, 60e6  # of the longest recent pause: lossy logs and links; memory
-LATE_US, SPREAD_FACTOR = 300_000, 8.0  # least lateness; in its mean deviation: six sigma, p 1e-9
+LATE_US = 300_000  # later than usual: a GPS fix under load, a radio's frame, may be 0.2 s late
 FROZEN_STAMPS = 5  # equal stamps in a row: as many as INTERVALS
 STILL_SAMPLES = 20  # a value that has legitimately repeated for 20 samples is exempt from the test
 
@@ -75,8 +74,6 @@ class SampleStream:
     same_stamps: int = 0
     interval_us: float = 0.0
     lateness_us: float = 0.0
-    spread_us: float = 0.0  # of the lateness
-    pause_us: float = 0.0  # the longest
     limit_us: int = SILENT_US  # for how long it may be silent
     rate: StreamRate = field(default_factory=StreamRate)
     numbers: list[_Number] = field(default_factory=lambda: [_Number() for _ in range(6)])
@@ -92,24 +89,15 @@ class SampleStream:
 
     def is_late(self, late_us: int) -> bool:
         """Whether a sample is later than usual."""
-        most_us = self.lateness_us + max(LATE_US, SPREAD_FACTOR * self.spread_us)
-        return self.count >= LEARNED_SAMPLES and late_us > most_us
+        return self.count >= LEARNED_SAMPLES and late_us > self.lateness_us + LATE_US
 
     def learn_times(self, gap_us: int, late_us: int) -> None:
         """Update interval and lateness from a regular sample."""
         share = max(SHARE, 1.0 / (1.0 + self.count))
         if self.count < LEARNED_SAMPLES or gap_us < INTERVALS * self.interval_us:
             self.interval_us += share * (gap_us - self.interval_us)
-        self.spread_us += share * (abs(late_us - self.lateness_us) - self.spread_us)
         self.lateness_us += share * (late_us - self.lateness_us)
-        self._update_limit()
-        if self.count >= RHYTHM_SAMPLES and gap_us < self.limit_us:
-            self.pause_us = max(gap_us, self.pause_us * (1.0 - gap_us / FORGOTTEN_US))
-            self._update_limit()
-
-    def _update_limit(self) -> None:
-        own_us = max(INTERVALS * self.interval_us, PAUSE_FACTOR * self.pause_us)
-        self.limit_us = max(SILENT_US, int(own_us))
+        self.limit_us = max(SILENT_US, int(INTERVALS * self.interval_us))
 
     def is_from_receiver(self, source: float) -> bool:
         """Whether a fix is the receiver's own: those that an autopilot forwards are late."""

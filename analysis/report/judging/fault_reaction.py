@@ -11,12 +11,13 @@ from typing import Any
 
 import msgspec
 
+from analysis.detection.actuators.alarm_precedence import FOREVER_US
 from analysis.report.curves.recording import Event, FlightData
 from analysis.report.judging.autopilot_texts import is_alarming
 from analysis.report.judging.checks import FlightCheck
 from analysis.scoring.alarm_windows import AlarmWindow
 from analysis.scoring.fault_channels import fault_visibility
-from analysis.scoring.outcome import MISSED, NEVER_US, NOT_JUDGED, FaultOutcome, fault_outcomes
+from analysis.scoring.outcome import MISSED, NOT_JUDGED, FaultOutcome, fault_outcomes
 from mavproxy_fault.wire.label import Label
 
 AFTER_FAULT_S = 15.0  # chosen: alarms this soon after a fault's end are attributed to it
@@ -96,7 +97,7 @@ def _of_checks(
 
 def _within(span: tuple[int, int], label: Label) -> bool:
     """Whether a time span can be caused by a fault."""
-    end_us = NEVER_US if label.end_us is None else label.end_us
+    end_us = FOREVER_US if label.end_us is None else label.end_us
     return label.start_us - SAMPLE_US <= span[0] and span[1] <= end_us + round(AFTER_FAULT_S * 1e6)
 
 

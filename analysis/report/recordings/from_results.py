@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
+from analysis.detection.actuators.alarm_precedence import FOREVER_US
 from analysis.report.curves.fused_curves import AXES, FUSED
 from analysis.report.curves.recording import (
     Event,
@@ -16,7 +17,7 @@ from analysis.report.curves.recording import (
     value_spans,
 )
 from analysis.results import AttitudeError, Decision, FusedState, Result, SensorDecision
-from analysis.scoring.outcome import NEVER_US, RECOVERY_S
+from analysis.scoring.outcome import RECOVERY_S
 from mavproxy_fault.numerics import earth
 from mavproxy_fault.wire.label import Label
 
@@ -162,7 +163,7 @@ def isolation_matrix(
 
 
 def _end_us(label: Label) -> int:
-    return NEVER_US if label.end_us is None else label.end_us
+    return FOREVER_US if label.end_us is None else label.end_us
 
 
 def _rank(name: str) -> tuple[int, str]:
