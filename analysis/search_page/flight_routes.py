@@ -12,16 +12,9 @@ from starlette.responses import Response
 from starlette.routing import Route
 
 from analysis.search_page.flights import Flights
-from analysis.web.access_control import (
-    ASSET_FILES,
-    AccessControl,
-    action_answer,
-    data_answer,
-    file_answer,
-)
+from analysis.web.access_control import AccessControl, action_answer, data_answer, file_routes
 
 ASSETS = Path(__file__).parent / "assets"
-OWN_FILES = {path.name: path for path in ASSETS.iterdir() if path.suffix in (".js", ".css")}
 
 
 class FlightPage:
@@ -31,8 +24,7 @@ class FlightPage:
         self._flights = flights
         self.app = Starlette(
             routes=[
-                Route("/", self._index),
-                Route("/assets/{name}", self._asset),
+                *file_routes(ASSETS, "flight.html"),
                 Route("/api/state", self._state),
                 Route("/api/flight", self._flight),
                 Route("/api/next", self._next, methods=["POST"]),
@@ -47,13 +39,6 @@ class FlightPage:
         self._flights.next()  # so that the page has a flight to show
         yield
         await run_in_threadpool(self._flights.close)
-
-    async def _index(self, request: Request) -> Response:
-        return file_answer(ASSETS / "flight.html")
-
-    async def _asset(self, request: Request) -> Response:
-        name = request.path_params["name"]
-        return file_answer(OWN_FILES.get(name) or ASSET_FILES.get(name))
 
     async def _state(self, request: Request) -> Response:
         return await data_answer(self._flights.state)

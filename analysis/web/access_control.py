@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import BaseRoute, Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from analysis.web.peer_user import HAS_TABLES, peer_user
@@ -81,6 +82,19 @@ class AccessControl(NamedTuple):
             return False
         host, port = call.scope["server"]
         return peer_user((call.client.host, call.client.port), (host, port)) in self.users
+
+
+def file_routes(folder: Path, index: str) -> list[BaseRoute]:
+    """The routes of a page's own files: those of its folder, and those that all pages share."""
+    files = ASSET_FILES | {path.name: path for path in folder.iterdir()}
+
+    async def page(request: Request) -> Response:
+        return file_answer(folder / index)
+
+    async def asset(request: Request) -> Response:
+        return file_answer(files.get(request.path_params["name"]))
+
+    return [Route("/", page), Route("/assets/{name}", asset)]
 
 
 def file_answer(path: Path | None) -> Response:

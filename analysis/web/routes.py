@@ -16,13 +16,13 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from analysis.web.access_control import (
-    ASSET_FILES,
     ASSETS,
     HEADERS,
     AccessControl,
     action_answer,
     data_answer,
     file_answer,
+    file_routes,
     read_body,
     refusal_answer,
 )
@@ -54,8 +54,7 @@ class LivePage:
         self._commands = commands
         self.app = Starlette(
             routes=[
-                Route("/", self._index),
-                Route("/assets/{name}", self._asset),
+                *file_routes(ASSETS, "index.html"),
                 Route("/api/catalogue", self._catalogue),
                 Route("/api/report", self._report),
                 Route("/api/preview", self._preview, methods=["POST"]),
@@ -85,12 +84,6 @@ class LivePage:
         while True:
             self._feed.tick()
             await asyncio.sleep(TICK_S * (1 + self._feed.viewers // VIEWERS_PER_TICK))
-
-    async def _index(self, request: Request) -> Response:
-        return file_answer(ASSETS / "index.html")
-
-    async def _asset(self, request: Request) -> Response:
-        return file_answer(ASSET_FILES.get(request.path_params["name"]))
 
     async def _report(self, request: Request) -> Response:
         return file_answer(self._feed.report)

@@ -131,7 +131,7 @@ class LiveControl:
         A `sealed` frame (signed with an unknown key) cannot be changed.
         """
         if frame.id in self.view.ids:
-            self.view.received(frame, t_us)
+            self.view.sample(frame, t_us, sent=False)
         if frame.id == HEARTBEAT:
             return self._answer_heartbeat(frame, t_us)
         if frame.id in COMMANDS:
@@ -246,12 +246,7 @@ class LiveControl:
         )
 
     def _carries(self, part: UnitPart, instance: int) -> bool:
-        if part == LINK_PART or not instance:
-            return True
-        if part.indexed:
-            fields = message_layout(part.message).fields
-            return all(instance <= fields[name].count for name, _ in part.fields)
-        return any(instance in seen for (one, *_), seen in self._sources.items() if one == part)
+        return part == LINK_PART or not instance or instance in self._instances(part)
 
     def _replace(
         self,
@@ -410,12 +405,7 @@ class LiveControl:
     # -- Zenoh -----------------------------------------------------------------------------------
 
     def answer(self, key: str, payload: bytes, t_us: int) -> Any:
-        """Apply a query whose key ends in `@ctl/<what>` and return the reply.
-
-        `fault/{id}/arm` (an entry as JSON), `fault/{id}/value` (`{"value": 1.5, "sent_us": ...}`),
-        `fault/{id}/disarm`, `schedule/load` (YAML, its times count from the schedule's start),
-        `schedule/begin` (YAML, from now), `schedule/save` (`yaml` for load, `anew` for begin),
-        `schedule/stop`, `state`.
+        """Apply a query whose key ends in `@ctl/<what>` and return the reply (docs/faults.md).
 
         Raises
         ------

@@ -232,23 +232,10 @@ def failure_entries(
     instance: int,
     parts: Sequence[tuple[UnitPart, dict[str, Any]]],
 ) -> list[dict[str, Any]]:
-    """Return the schedule entries that apply a failure.
+    """Return the schedule entries `id.1`, `id.2`, ... of a failure, one for each part.
 
-    Parameters
-    ----------
-    id : str
-        Id of the failure; its parts get `.1`, `.2`, ...
-    request : FailureRequest
-        Any type but `ok`.
-    instance : int
-        1 for the first sensor or motor, 0 for all.
-    parts : sequence of (UnitPart, dict)
-        What carries the unit to the autopilot, and the `where` of its frames.
-
-    Returns
-    -------
-    list of dict
-        One entry per part.
+    It has any type but `ok`; `instance` counts from 1, 0 is all. A part comes with the `where` of
+    its frames.
     """
     entries = []
     for number, (part, where) in enumerate(parts, 1):

@@ -144,10 +144,6 @@ class SubscribedMessages:
             self._names.setdefault(number, []).append(name)
         self.ids = frozenset(self._names)
 
-    def received(self, frame: Frame, t_us: int) -> None:
-        """Sample a received frame of a subscribed message."""
-        self._sample(frame, t_us, sent=False)
-
     def sent(self, raw: bytes, t_us: int) -> None:
         """Sample sent bytes if they are a frame of a subscribed message."""
         # Too short for a frame header.
@@ -156,9 +152,10 @@ class SubscribedMessages:
         # Only the id is read, since most messages have no viewer.
         number = int.from_bytes(raw[7:10], "little") if raw[0] == STX_V2 else raw[5]
         if number in self.ids:
-            self._sample(Frame(raw, message_layout(number)), t_us, sent=True)
+            self.sample(Frame(raw, message_layout(number)), t_us, sent=True)
 
-    def _sample(self, frame: Frame, t_us: int, *, sent: bool) -> None:
+    def sample(self, frame: Frame, t_us: int, *, sent: bool) -> None:
+        """Sample a frame of a subscribed message, as received or as sent."""
         field = frame.layout.instance or "id"
         value = frame.read(field) if field in frame.layout.fields else 0
         instance = value.decode("ascii", "replace") if isinstance(value, bytes) else value

@@ -7,6 +7,7 @@ from mavproxy_fault.wire.frame import Frame
 MOST_EPOCHS = 100  # buffered between two reads: 20 s at 5 Hz
 
 Epochs = dict[int, dict[str, float]]  # timestamp [us] to satellite to pseudorange [m]
+Rows = list[tuple[int | float | None, ...]]
 
 
 class RangeSampler:
@@ -31,13 +32,7 @@ class RangeSampler:
             ranges = zip(data.satellites, data.pseudorange_m, strict=True)
             epochs.setdefault(t_us, {}).update(ranges)
 
-    def drain(
-        self,
-    ) -> tuple[
-        tuple[str, ...],
-        list[tuple[int | float | None, ...]],
-        list[tuple[int | float | None, ...]],
-    ]:
+    def drain(self) -> tuple[tuple[str, ...], Rows, Rows]:
         """Return the satellites and the received and sent rows since the last call.
 
         A missing satellite is None.

@@ -167,3 +167,21 @@ def test_a_growing_delay_and_loss_follow_their_profiles() -> None:
 def test_what_does_not_fit_together_is_refused(entry: dict[str, Any], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         parse_schedule({"faults": [entry]})
+
+
+@pytest.mark.parametrize(
+    ("preset", "median_s", "longest_s"),
+    [("wifi-at-range", 0.012, 0.1), ("lte-handover", 0.065, 0.4), ("herelink", 0.04, 0.25)],
+)
+def test_radios_delay_dense_telemetry_by_what_their_sources_say(
+    preset: str, median_s: float, longest_s: float
+) -> None:
+    """At 350 Hz, PX4's rate on USB, no queue behind one late frame grows."""
+    engine = Engine(parse_schedule({"seed": 3, "faults": [{"preset": preset}]}))
+    engine.start_at(0)
+    late = []
+    for t_us in range(0, 60_000_000, 2857):
+        sends = engine.apply(frame_of(60), "from-vehicle", t_us)
+        late += [(out.due_us - t_us) * 1e-6 for out in sends]
+    assert np.median(late) < median_s
+    assert max(late) < longest_s
