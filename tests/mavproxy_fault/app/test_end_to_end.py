@@ -95,7 +95,8 @@ def test_a_log_shows_what_a_fault_did_and_nothing_else(
     before, after = decoded(log), decoded(out)
     start, end = (f"{(UNIX_US + round((1.0 + s) * 1e6)) * 1e-6:.6f}" for s in (START_S, END_S))
     assert [line for line in after if line < start] == [line for line in before if line < start]
-    assert after != before
+    # Pieces of a stream are no frames of a log.
+    assert (after != before) == (entry.get("fault") != "slice")
     labels = read_labels(out.with_suffix(".labels.jsonl"))
     assert labels
     assert {label.id.split(".")[0] for label in labels} == {"it"}
