@@ -1,13 +1,14 @@
 """Processor time of a proxy per frame, whatever the link and the traffic.
 
-    python benchmarks/wire_costs.py [--router PATH] [--rounds N]
+    python benchmarks/wire_costs.py [--router PATH] [--rounds N] [--lockstep]
     python benchmarks/wire_costs.py --faults
 
 The first form sends windows of 64 frames of HIL_SENSOR through proxies that take turns in each
 round: a forwarder in C (UDP only), mavlink-router (built by the person who runs this) and
 mavproxy-fault, as processes; it prints microseconds of their processor time per frame, medians of
-the rounds. The second form gives the cost of each fault of the catalogue within one process, in
-units of that of a bias.
+the rounds. With `--lockstep` there is one frame at a time, and it prints the median microseconds
+from its sending to its arrival. The second form gives the cost of each fault of the catalogue
+within one process, in units of that of a bias.
 """
 
 import argparse
@@ -196,8 +197,9 @@ def cpu_s(process: subprocess.Popen[bytes]) -> float:
     return time.clock_gettime(clock.value)
 
 
-def cost_us(row: str, command: str) -> float:
-    """Microseconds of processor time per frame; NaN if frames were lost."""
+@contextlib.contextmanager
+def warm(row: str, command: str) -> Iterator[tuple[Ends, subprocess.Popen[bytes], list[bytes]]]:
+    """A proxy that has passed some frames, and the frames for the measurement."""
     transport, datagram, _, _ = ROWS[row]
     ends = Ends(transport)
     frames = [datagram(n) for n in range(WARM + FRAMES)]
@@ -206,14 +208,31 @@ def cost_us(row: str, command: str) -> float:
             for first in range(0, WARM, WINDOW):
                 ends.exchange(frames[first : first + WINDOW])
             time.sleep(1.0)  # live control is loaded in the first second
-            before_s, came = cpu_s(process), 0
-            for first in range(WARM, WARM + FRAMES, WINDOW):
-                came += ends.exchange(frames[first : first + WINDOW])
-            spent_s = cpu_s(process) - before_s
-        whole = came >= 0.999 * sum(map(len, frames[WARM:]))
-        return spent_s / FRAMES * 1e6 if whole else float("nan")
+            yield ends, process, frames[WARM:]
     finally:
         ends.close()
+
+
+def cost_us(row: str, command: str) -> float:
+    """Microseconds of processor time per frame; NaN if frames were lost."""
+    with warm(row, command) as (ends, process, frames):
+        before_s, came = cpu_s(process), 0
+        for first in range(0, FRAMES, WINDOW):
+            came += ends.exchange(frames[first : first + WINDOW])
+        spent_s = cpu_s(process) - before_s
+        whole = came >= 0.999 * sum(map(len, frames))
+        return spent_s / FRAMES * 1e6 if whole else float("nan")
+
+
+def round_trip_us(row: str, command: str) -> float:
+    """Median microseconds from sending a frame until it has arrived, one at a time."""
+    with warm(row, command) as (ends, _, frames):
+        times_ns = []
+        for frame in frames:
+            begun_ns = time.perf_counter_ns()
+            ends.exchange([frame])
+            times_ns.append(time.perf_counter_ns() - begun_ns)
+        return statistics.median(times_ns) / 1000
 
 
 def print_links(args: argparse.Namespace) -> None:
@@ -228,7 +247,8 @@ def print_links(args: argparse.Namespace) -> None:
             costs: dict[str, list[float]] = {}
             for _ in range(args.rounds):
                 for proxy, command in commands(row, args, folder).items():
-                    costs.setdefault(proxy, []).append(cost_us(row, command))
+                    measure = round_trip_us if args.lockstep else cost_us
+                    costs.setdefault(proxy, []).append(measure(row, command))
             medians = {proxy: statistics.median(found) for proxy, found in costs.items()}
             words = [
                 f"{medians[proxy]:.1f}" if proxy in medians else ""
@@ -271,6 +291,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--router", help="path of mavlink-routerd")
     parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--lockstep", action="store_true", help="one frame at a time: latency")
     parser.add_argument("--faults", action="store_true", help="measure the faults instead")
     args = parser.parse_args()
     if args.faults:

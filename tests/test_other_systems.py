@@ -69,8 +69,8 @@ except ConfigError as error:
 PYTEST = """
 import pytest
 code = pytest.main(sys.argv[1:])
-from mavproxy_fault.links import datagrams
-assert not datagrams.IS_LINUX
+from mavproxy_fault.links import udp
+assert not udp.IS_LINUX
 sys.exit(code)
 """
 

@@ -15,12 +15,12 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.app.recorder import Recorder
-from mavproxy_fault.compiled.layout import AHEAD_US
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links import datagrams
+from mavproxy_fault.links import udp
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
@@ -37,8 +37,6 @@ LOG = logging.getLogger(__name__)
 RECONNECT_S = 0.1  # interval between attempts to reconnect links
 FLUSH_S = 1.0
 RESERVE_BYTES = 8 << 20  # bytes released when the system is out of memory
-EARLY_US = 250  # a sleep may end this late, so it is shortened by it
-BATCH_NS = 200_000  # chunks for links with many peers are collected for this long
 PR_SET_TIMERSLACK = 29  # <linux/prctl.h>; the default of 50 us delays every wait
 
 
@@ -59,11 +57,6 @@ class Server:
         self.tape = tape
         self.recorder = recorder
         self.latencies = [LatencyHistogram() for _ in links]
-        # Chunks collected for links that write many at once to many peers (`write_all`).
-        self._held: dict[int, list[bytes]] = {
-            number: [] for number, link in enumerate(links) if hasattr(link, "write_all")
-        }
-        self._held_ns = 0  # start of the collection; 0 if it is empty
         self._busy_poll = busy_poll
         # A constant offset, so that setting the system clock does not move timestamps.
         self._base_ns = time.time_ns() - time.monotonic_ns()
@@ -152,18 +145,10 @@ class Server:
 
     def _step_compiled(self, forwarder: "Forwarder") -> None:
         """Forward on the compiled path until something must be handled in Python."""
-        # A lone peer's chunks are written there: what was collected for it comes first.
-        if any(self.links[number].peer_count == 1 for number in self._held):
-            self._send_held()
-        next_ns, due_us = round(self._maintain_s * 1e9), self.core.next_due_us
-        # Until the next due frame or the next maintenance of the links.
-        due_ns = next_ns if due_us is None else (due_us - AHEAD_US) * 1000 - self._base_ns
-        if self._held_ns:  # finish the batch without a long sleep
-            next_ns = min(next_ns, time.monotonic_ns() + BATCH_NS)
-        # Precise waits for due frames only.
-        forwarder.forward(min(next_ns, due_ns), spin=self._busy_poll, precise=due_ns < next_ns)
-        if (sends := forwarder.take_sends()) or self._held_ns:
-            self._send_all(sends, hold=forwarder.has_more)
+        # Until the core has something due, or the next maintenance of the links.
+        due_ns = self.core.own_due_us * 1000 - self._base_ns
+        forwarder.forward(min(round(self._maintain_s * 1e9), due_ns), spin=self._busy_poll)
+        self._send_all(forwarder.take_sends())
         for number in forwarder.ready():
             self._serve(number)
         if self.live is not None and forwarder.wakes_ready:
@@ -171,7 +156,7 @@ class Server:
 
     def prepare(self) -> None:
         """Load the compiled kernels; at first use, compile them in another process."""
-        if not datagrams.IS_LINUX:
+        if not udp.IS_LINUX:
             return
         try:
             from mavproxy_fault.compiled import object_file as kernels
@@ -242,12 +227,10 @@ class Server:
         """Return how long the loop may sleep [s]."""
         if self._busy_poll:
             return 0.0
-        # Busy polling never sleeps.
         due_us = self.core.next_due_us
         if due_us is None:
             return RECONNECT_S
-        # The sleep ends early, since it may end late; the rest is a busy wait.
-        return min(max(due_us - self.now_us() - AHEAD_US - EARLY_US, 0) * 1e-6, RECONNECT_S)
+        return min(max(due_us - self.now_us(), 0) * 1e-6, RECONNECT_S)
 
     def _serve(self, number: int) -> None:
         """Forward what one link has received."""
@@ -260,48 +243,23 @@ class Server:
         for stream, data in link.read():
             count += 1
             try:
-                self._send_all(receive(number, data, now_us, stream=stream), hold=True)
+                self._send_all(receive(number, data, now_us, stream=stream))
             except MemoryError:  # here, to keep the rest of the batch
                 self._free_memory()
-        self._send_held()
         if count:
             self.latencies[number].add(time.monotonic_ns() - started_ns, count)
 
-    def _send_all(self, sends: Sequence[Send], *, hold: bool = False) -> None:
-        """Send; `hold` announces more data, and chunks for many peers may be collected."""
-        links, held = self.links, self._held
+    def _send_all(self, sends: Sequence[Send]) -> None:
         for send in sends:
-            if send.link in held:
-                held[send.link].append(send.data)
-                self._held_ns = self._held_ns or time.monotonic_ns()
-            else:
-                links[send.link].write(send.data)
-        if self._held_ns and not (hold and time.monotonic_ns() < self._held_ns + BATCH_NS):
-            self._send_held()
-
-    def _send_held(self) -> None:
-        """Send the collected chunks."""
-        if not self._held_ns:
-            return
-        self._held_ns = 0
-        for number, chunks in self._held.items():
-            if chunks:
-                link: Any = self.links[number]
-                link.write_all(chunks)
-                chunks.clear()
+            self.links[send.link].write(send.data)
 
     def _run_due(self) -> None:
         due_us = self.core.next_due_us
-        if due_us is not None and due_us <= (now_us := self.now_us()) + AHEAD_US:
+        if due_us is not None and due_us <= (now_us := self.now_us()):
             # After a delay of this process, the rest of a frame may wait in the kernel.
-            for number in self.core.links_to_resync(now_us + AHEAD_US):
+            for number in self.core.links_to_resync(now_us):
                 self._serve(number)
-            # The core may run early, since its output depends on the due time only.
-            sends = self.core.due(max(due_us, now_us))
-            due_ns = due_us * 1000 - self._base_ns
-            while time.monotonic_ns() < due_ns:
-                pass
-            self._send_all(sends)
+            self._send_all(self.core.due(now_us))
         now_s = time.monotonic()
         if now_s >= self._maintain_s:
             self._maintain_s = now_s + RECONNECT_S
@@ -380,19 +338,12 @@ class Server:
         """Return counters and latency percentiles of every endpoint."""
         endpoints = []
         for number, link in enumerate(self.links):
-            counters = link.counters
             endpoints.append(
                 {
                     **link_statistics(self.core, number),
                     "name": link.name,
                     "peers": link.peer_count,
-                    "bytes_in": counters.bytes_in,
-                    "chunks_in": counters.chunks_in,
-                    "bytes_out": counters.bytes_out,
-                    "chunks_out": counters.chunks_out,
-                    "drops": counters.drops,
-                    "errors": counters.errors,
-                    "refused": counters.refused,
+                    **asdict(link.counters),
                     "lost_in_kernel": getattr(link, "lost_in_kernel", 0),  # datagrams only
                     **self.latencies[number].summary(),
                 }

@@ -12,35 +12,31 @@ import numpy as np
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.element_bytes import (
     LARGEST_WHOLE,
+    copy_bytes,
     little_endian,
     read_element,
     write_element,
 )
-from mavproxy_fault.compiled.kernel import call, choose, i64, kernel, kernel_of
+from mavproxy_fault.compiled.kernel import choose, draw, i64, kernel, kernel_of
 from mavproxy_fault.compiled.layout import Shared
-from mavproxy_fault.compiled.rule_numbers import link_rules, value_rules
 from mavproxy_fault.compiled.signatures import sign_again
 from mavproxy_fault.fault_parts import hits
-from mavproxy_fault.fault_parts.rules import LOST
+from mavproxy_fault.fault_parts.rules import LINK_RULES, LOST, VALUE_RULES
+from mavproxy_fault.faults import bit_faults, frame_corruption
+from mavproxy_fault.faults.registry import numbered_rules
+from mavproxy_fault.proxy import sender_rules
 from mavproxy_fault.proxy.senders import LINK_TIME
 from mavproxy_fault.wire.framing import range_crc
 
 SKIPPED, SIGNED = -1, -2  # places of entries that do not act on a frame, as it is signed
 
+is_selected = kernel_of(sender_rules.is_selected)
 note_hits = kernel_of(hits.note_hits)
-_value_rule = choose(value_rules(), "x, i, t_s, p, m, u")
-_link_rule = choose(link_rules(), "t_us, size, p, m, u, v")
-
-
-@kernel
-def _is_for(entry: Any, sender: int, from_vehicle: int, instance: int) -> bool:
-    """Whether an entry's `where` matches a frame; as `ActiveEntry.matches`."""
-    return bool(
-        (entry[k.SYSTEM] < 0 or entry[k.SYSTEM] == sender >> 8)
-        and (entry[k.COMPONENT] < 0 or entry[k.COMPONENT] == sender & 0xFF)
-        and (entry[k.DIRECTION] < 0 or entry[k.DIRECTION] == from_vehicle)
-        and (entry[k.INSTANCE] < 0 or entry[k.INSTANCE] == instance)
-    )
+count_flips = kernel_of(bit_faults.count_flips)
+flip_bits = kernel_of(bit_faults.flip_bits)
+mix_bytes = kernel_of(frame_corruption.mix_bytes)
+_value_rule = choose(numbered_rules(VALUE_RULES), "x, i, t_s, p, m, u")
+_link_rule = choose(numbered_rules(LINK_RULES), "t_us, size, p, m, u, v")
 
 
 @kernel
@@ -66,9 +62,9 @@ def _find_memory(
 def _has_exact_numbers(payload: int, size: int, step: Any, shared: Shared) -> bool:
     """Whether 64-bit integers of a chain's elements are exact as numbers."""
     for row in range(step[k.FROM], step[k.TO]):
-        code, at = shared.elements[row, k.CODE], shared.elements[row, k.OFFSET]
-        if (code == 81 or code == 113) and at + 8 <= size:
-            word = little_endian(shared.data, payload + at, 8)
+        element, at = shared.elements[row], shared.elements[row, k.OFFSET]
+        if element[k.BYTES_OF] == 8 and element[k.KIND_OF] != k.REAL and at + 8 <= size:
+            word = little_endian(shared.data.ctypes.data + payload + at, 8)
             if not 0 <= word < LARGEST_WHOLE:
                 return False
     return True
@@ -81,7 +77,7 @@ def read_instance(payload: int, size: int, number: int, shared: Shared) -> int:
     if table[k.INSTANCE_AT] < 0:
         return i64(0)
     length = min(table[k.INSTANCE_SIZE], size - table[k.INSTANCE_AT])
-    return i64(little_endian(shared.data, payload + table[k.INSTANCE_AT], length))
+    return i64(little_endian(shared.data.ctypes.data + payload + table[k.INSTANCE_AT], length))
 
 
 @kernel
@@ -104,7 +100,8 @@ def is_ready(
         step = shared.steps[first]
         entry = shared.entries[step[k.ENTRY]]
         shared.places[place] = SKIPPED
-        if _is_for(entry, sender, from_vehicle, instance):
+        where = (entry[k.SYSTEM], entry[k.COMPONENT], entry[k.DIRECTION], entry[k.INSTANCE])
+        if is_selected(where, sender, from_vehicle, instance):
             if _own_time(entry, t_us, shared) >= entry[k.LABEL_AT]:
                 return False
             shared.places[place] = 0
@@ -129,51 +126,58 @@ def is_ready(
 @kernel
 def _draw(entry: Any) -> float:
     """An entry's next drawn number, 0 if it draws none."""
-    return float(call(entry[k.DRAW], entry[k.DRAWS_FROM])) if entry[k.DRAW] >= 0 else 0.0
+    return float(draw(entry[k.DRAW], entry[k.DRAWS_FROM])) if entry[k.DRAW] >= 0 else 0.0
 
 
 @kernel
 def _note_hit(
     entry: Any, t_us: int, link: int, saturated: int, largest: float, shared: Shared
 ) -> None:
-    """Count a changed frame for an entry."""
+    """Count a changed frame for an entry, and whether its label begins."""
     counts = shared.memory[entry[k.COUNTS_AT] :]
+    shared.loop[k.NEW_LABEL] |= 1 - entry[k.ANNOUNCED]
     note_hits(counts, t_us, shared.ports[link, k.FROM_VEHICLE], 1, saturated, largest)
 
 
 @kernel
 def _act_on_values(
     item: int, head: int, step: Any, place: int, t_us: int, link: int, shared: Shared
-) -> bool:
-    """Apply an entry to the values of a frame in `work`; whether a byte changed."""
-    work, elements, outcome = shared.work, shared.elements, shared.outcome
-    entry = shared.entries[step[k.ENTRY]]
+) -> None:
+    """Apply an entry to the values of a frame in `work`."""
+    work, elements, entry = shared.work, shared.elements, shared.entries[step[k.ENTRY]]
     base = item * k.SLOT
-    payload, size = base + head, i64(work[base + 1])
+    payload, size, first = base + head, i64(work[base + 1]), step[k.FROM]
+    address = work.ctypes.data + payload
     if step[k.END] > size:  # truncated zeros, in place of the checksum
         for n in range(size, step[k.END]):
             work[payload + n] = 0
         shared.items[item, k.ALTERED] = max(shared.items[item, k.ALTERED], k.RESEALED)
-    first = step[k.FROM]
     t_s = (t_us - entry[k.START]) / 1e6
     for row in range(first, step[k.TO]):
-        healthy = read_element(work, payload + elements[row, k.OFFSET], elements[row, k.CODE])
-        shared.values[row - first] = healthy / shared.factors[row, k.FACTOR]
+        bytes_of, kind = elements[row, k.BYTES_OF], elements[row, k.KIND_OF]
+        healthy = read_element(address + elements[row, k.OFFSET], bytes_of, kind)
+        factor = shared.factors[row, k.FACTOR]
+        shared.values[row - first] = healthy if factor == 1.0 else healthy / factor
     changed, saturated, largest = False, 0, -1.0
     for row in range(first, step[k.TO]):
-        i = row - first
-        new = _value_rule(
-            entry[k.RULE], shared.values, i, t_s, shared.numbers[elements[row, k.NUMBERS_AT] :],
-            shared.memory[place + i * (entry[k.REMEMBERS] - 1) :], _draw(entry),
-        )  # fmt: skip
-        # Kept until all are known, as a rule may look at its neighbours.
-        shared.values[k.SLOT // 2 + i] = new * shared.factors[row, k.FACTOR]
-    for row in range(first, step[k.TO]):
-        at, code = payload + elements[row, k.OFFSET], elements[row, k.CODE]
-        healthy, new = read_element(work, at, code), shared.values[k.SLOT // 2 + row - first]
-        changed |= write_element(work, at, code, healthy, new, outcome)
-        saturated += int(outcome[k.CUT])
-        change = outcome[k.STEP] / shared.factors[row, k.STEP_SCALE]
+        at, i = address + elements[row, k.OFFSET], row - first
+        bytes_of, kind = elements[row, k.BYTES_OF], elements[row, k.KIND_OF]
+        p, scale = shared.numbers[elements[row, k.NUMBERS_AT] :], shared.factors[row, k.STEP_SCALE]
+        before, healthy = little_endian(at, bytes_of), read_element(at, bytes_of, kind)
+        if entry[k.EFFECT] == k.FLIP:
+            for n in range(count_flips(8 * bytes_of, p)):
+                shared.draws[n] = _draw(entry)
+            flip_bits(work, payload + elements[row, k.OFFSET], 8 * bytes_of, p, shared.draws)
+            new = read_element(at, bytes_of, kind)
+        else:
+            new = shared.factors[row, k.FACTOR] * _value_rule(
+                entry[k.RULE], shared.values, i, t_s, p,
+                shared.memory[place + i * (entry[k.REMEMBERS] - 1) :], _draw(entry),
+            )  # fmt: skip
+        saturated += write_element(at, bytes_of, kind, new)
+        changed |= before != little_endian(at, bytes_of)
+        change = abs(read_element(at, bytes_of, kind) - healthy)
+        change = change if scale == 1.0 else change / scale
         if math.isfinite(change):
             largest = max(largest, change)
     end = step[k.END]
@@ -185,15 +189,36 @@ def _act_on_values(
     if changed:
         shared.items[item, k.ALTERED] = k.CHANGED
         _note_hit(entry, t_us, link, saturated, largest, shared)
-    return changed
+
+
+@kernel
+def _damage(item: int, head: int, step: Any, count: int, p: k.Doubles, shared: Shared) -> None:
+    """Cut bytes off a frame in `work`, or change some, behind a checksum that is right before."""
+    items, entry, base = shared.items, shared.entries[step[k.ENTRY]], item * k.SLOT
+    whole = items[item, k.ALTERED] != k.DAMAGED
+    if items[item, k.ALTERED] == k.CHANGED:
+        items[item, k.ALTERED] = k.RESEALED  # the signature stays
+    if whole and items[item, k.ALTERED]:
+        seal(item, head, shared)
+    if entry[k.EFFECT] == k.CUT:
+        items[item, k.LENGTH_OF] = max(items[item, k.LENGTH_OF] - count, 1)
+        items[item, k.ALTERED] = k.DAMAGED
+        return
+    at, size = base, items[item, k.LENGTH_OF]
+    if whole:
+        at, size = base + head, i64(shared.work[base + 1])
+    count = min(count, size)
+    for n in range(2 * count):
+        shared.draws[n] = _draw(entry)
+    mix_bytes(shared.work, at, size, count, shared.draws)
+    items[item, k.ALTERED] = k.CHANGED if whole and p[2] else k.DAMAGED
 
 
 @kernel
 def _act_on_frame(
     item: int, count: int, head: int, step: Any, place: int, t_us: int, link: int, shared: Shared
 ) -> int:
-    """Apply a fault of the link to a frame in `work`; the frames that there are then, -1 if it did
-    nothing."""
+    """Apply a fault of the link to a frame in `work`; the frames that there are then."""
     work, items, entry = shared.work, shared.items, shared.entries[step[k.ENTRY]]
     u = _draw(entry)
     v = _draw(entry) if entry[k.DRAW_COUNT] > 1 else 0.0
@@ -201,7 +226,7 @@ def _act_on_frame(
     memory = shared.memory[place:]
     number = i64(_link_rule(entry[k.RULE], np.float64(t_us), size, p, memory, u, v))
     if number == 0:
-        return -1
+        return count
     late_us = i64(0)
     if entry[k.EFFECT] == k.DELAY:
         if number == LOST:
@@ -213,11 +238,12 @@ def _act_on_frame(
         place_of_seq = item * k.SLOT + (4 if head == 10 else 2)
         work[place_of_seq] = (i64(work[place_of_seq]) + number) & 0xFF
         items[item, k.ALTERED] = k.CHANGED
+    elif entry[k.EFFECT] == k.CUT or entry[k.EFFECT] == k.MIX:
+        _damage(item, head, step, number, p, shared)
     else:
         late_us = i64(p[2])
         for n in range(number):
-            for byte in range(items[item, k.LENGTH_OF]):
-                work[count * k.SLOT + byte] = work[item * k.SLOT + byte]
+            copy_bytes(work, item * k.SLOT, items[item, k.LENGTH_OF], work, count * k.SLOT)
             for column in range(3):
                 items[count, column] = items[item, column]
             items[count, k.LATE_US] += late_us * (n + 1) // number
@@ -230,14 +256,12 @@ def _act_on_frame(
 @kernel
 def apply_chain(
     at: int, head: int, length: int, number: int, link: int, t_us: int, shared: Shared
-) -> Any:
-    """Apply the entries of a message to a frame; how many frames it becomes, and whether anything
-    changed."""
+) -> int:
+    """Apply the entries of a message to a frame; how many frames it becomes."""
     work, items = shared.work, shared.items
-    for n in range(length):
-        work[n] = shared.data[at + n]
+    copy_bytes(shared.data, at, length, work, 0)
     items[0, k.LENGTH_OF], items[0, k.LATE_US], items[0, k.ALTERED] = length, 0, 0
-    count, changed = 1, False
+    count = 1
     first, position = shared.table[number, k.CHAIN], 0
     while first >= 0:
         step, place = shared.steps[first], shared.places[position]
@@ -245,33 +269,32 @@ def apply_chain(
         if place == SIGNED:
             shared.memory[entry[k.COUNTS_AT] + hits.SEALED] += 1.0
         for item in range(count if place >= 0 else 0):
-            if items[item, k.LENGTH_OF] == 0:
+            damaged = items[item, k.ALTERED] == k.DAMAGED
+            if items[item, k.LENGTH_OF] == 0 or (damaged and not entry[k.TAKES_BYTES]):
                 continue
             probability = shared.chances[step[k.ENTRY]]
-            if entry[k.CHANCE] >= 0 and call(entry[k.CHANCE], entry[k.CHANCES_FROM]) >= probability:
+            if entry[k.CHANCE] >= 0 and draw(entry[k.CHANCE], entry[k.CHANCES_FROM]) >= probability:
                 continue
             own_us = _own_time(entry, t_us, shared)
             if entry[k.ON_LINK]:  # it acts when the earlier entries let the frame go
                 own_us += items[item, k.LATE_US]
-            if entry[k.EFFECT] == k.VALUES:
-                changed |= _act_on_values(item, head, step, place, own_us, link, shared)
+            if entry[k.EFFECT] == k.VALUES or entry[k.EFFECT] == k.FLIP:
+                _act_on_values(item, head, step, place, own_us, link, shared)
             else:
-                become = _act_on_frame(item, count, head, step, place, own_us, link, shared)
-                if become >= 0:
-                    changed, count = True, become
+                count = _act_on_frame(item, count, head, step, place, own_us, link, shared)
         first = step[k.NEXT]
         position += 1
-    return count, changed
+    return count
 
 
 @kernel
-def seal(item: int, head: int, extra: int, signature_at: int, shared: Shared) -> None:
-    """Write the checksum of a changed frame in `work`, and its signature, which was at a place of
-    `data` (0: none)."""
-    base, address = item * k.SLOT, shared.work.ctypes.data
+def seal(item: int, head: int, shared: Shared) -> None:
+    """Write the checksum of a changed frame in `work`, and its signature, if it has one."""
+    base, address, loop = item * k.SLOT, shared.work.ctypes.data, shared.loop
     tail = base + head + i64(shared.work[base + 1])
-    checksum = range_crc(address + base + 1, address + tail, np.uint64(extra), shared.crc)
+    extra = np.uint64(loop[k.CRC_EXTRA])
+    checksum = range_crc(address + base + 1, address + tail, extra, shared.crc)
     shared.work[tail] = checksum & np.uint64(0xFF)
     shared.work[tail + 1] = checksum >> np.uint64(8)
-    if signature_at:
-        sign_again(item, tail + 2, signature_at, shared)
+    if loop[k.SIGNATURE_AT]:
+        sign_again(item, tail + 2, loop[k.SIGNATURE_AT], shared)

@@ -5,8 +5,9 @@ This module gives the machine code its arrays, decides for each message whether 
 was counted. It needs no sockets; `forwarder` adds those.
 """
 
-import struct
-from ctypes import c_void_p
+from array import array
+from contextlib import suppress
+from ctypes import CDLL, c_void_p, cast
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.compiled import layout as k
@@ -14,18 +15,33 @@ from mavproxy_fault.compiled.object_file import load
 from mavproxy_fault.fault_parts.elements import instance_element
 from mavproxy_fault.proxy.capture_buffer import INDEX, CaptureBuffer
 from mavproxy_fault.proxy.core import Core
-from mavproxy_fault.proxy.interfaces import Send
+from mavproxy_fault.proxy.interfaces import NEVER_US, Send
 from mavproxy_fault.proxy.routing import target_offsets
 from mavproxy_fault.proxy.senders import UNKNOWN, WALL_OFFSET
 from mavproxy_fault.proxy.vehicle_clock import stamp_location
 from mavproxy_fault.wire.dialect import Layout, find_layout
+from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import frame_span, walk_frames
 from mavproxy_fault.wire.signing import SETUP_SIGNING, Signing
 
 if TYPE_CHECKING:
     from mavproxy_fault.compiled.plans import Plans
+COUNTS = {
+    k.FRAMES: "frames", k.MISSING: "gaps", k.FAULTED: "faulted", k.BAD_SIGNATURES: "bad_signatures",
+}  # fmt: skip
+OTHER_HEAD = 10  # bytes of length and time before what is no frame
 
-HELD = struct.Struct("<qqq")  # due time, links and length of a delayed frame
+
+def sha256_addresses() -> list[int]:
+    """The addresses of OpenSSL's functions, by the library that Python has loaded or the system's;
+    zeros if there is none."""
+    import _hashlib
+
+    for name in (getattr(_hashlib, "__file__", ""), "libcrypto.so.3", "libcrypto.so.1.1"):
+        with suppress(OSError, AttributeError):
+            found = (CDLL(name)[f"SHA256_{part}"] for part in ("Init", "Update", "Final"))
+            return [cast(one, c_void_p).value or 0 for one in found]
+    return [0, 0, 0]
 
 
 class CompiledCore:
@@ -43,19 +59,25 @@ class CompiledCore:
         signing = core.signing or Signing()
         self.shared = k.new_shared(
             len(core.links), descriptors, keep=tape is not None, senders=core.senders,
-            streams=signing.verifier.streams,
+            streams=signing.verifier.streams, waiting=core.waiting.numbers,
+            delayed=core.waiting.frames,
         )  # fmt: skip
         self._addresses = (c_void_p * len(self.shared))(*map(k.address, self.shared))
         key = signing.key or b""
-        self.shared.message[: len(key)] = key
+        self.shared.key[: len(key)] = key
         self.loop, self.ports = self.shared.loop, self.shared.ports
         self._learned: dict[int, Layout] = {}
         self._plans: Plans | None = None
         self.loop[k.KEEP], self.loop[k.WANTED_AT] = tape is not None, UNKNOWN
+        self.loop[k.ENGINE_DUE] = NEVER_US
         self.loop[k.LINK_COUNT], self.loop[k.POLLS] = len(core.links), descriptors
         self.loop[k.SIGNING] = k.KEYED * bool(key) | k.STRIPPED * signing.strip
+        if key:
+            self.loop[k.SHA_INIT : k.SHA_FINAL + 1] = array("q", sha256_addresses())
         for number, role in enumerate(core.links):
             self.ports[number, k.FROM_VEHICLE] = role.direction == "from-vehicle"
+            self.loop[k.SEPARATE] |= role.datagrams << number
+        core.release_delayed = self._release
         self._core_ran = True  # since the rows of faults were last compared with the entries
         self._sends: list[Send] = []  # announcements, to be sent before anything else
         self._seen: tuple[Any, ...] = ()
@@ -72,7 +94,7 @@ class CompiledCore:
                 self._classify(number)
 
     def _describe(self, number: int, described: Layout) -> None:
-        places = stamp_location(described.name) or (-1, 0, 0)
+        places = stamp_location(described.name)
         instance = instance_element(number)
         at, size = (instance[0].start, instance[0].end - instance[0].start) if instance else (-1, 0)
         values = (described.crc_extra, *places, *target_offsets(described.name), at, size)
@@ -95,9 +117,16 @@ class CompiledCore:
             self._seen = seen  # only now: what fails for want of memory is done again
         if plans is not None and self._core_ran:
             plans.follow_idle()
+        self._follow_engine()
+        self._core_ran = False
+
+    def _follow_engine(self) -> None:
+        """Note when the core has to see a frame, or to release some."""
+        engine: Any = self._core.engine
         if engine is not None:
             self.loop[k.EDGE], self.loop[k.LINK_EDGE] = engine.edges_us
-        self._core_ran = False
+            release_us = engine.release_us
+            self.loop[k.ENGINE_DUE] = NEVER_US if release_us is None else release_us
 
     def _classify(self, number: int) -> None:
         """Set how a message is processed."""
@@ -155,21 +184,27 @@ class CompiledCore:
             sends += more
             at += passed
             if found in (k.FRAME, k.REST):
-                length = frame_length(data, at) if found == k.FRAME else len(data) - at
-                sends += self._give(link, data[at : at + length], now_us, stream, begun=at > 0)
-                at += length
+                more, taken = self._give(link, data[at:], now_us, stream, found, begun=at > 0)
+                sends += more
+                at += taken
             if at >= len(data):
                 return sends
             self._lend(link, data[at:], now_us)
 
     def _give(
-        self, link: int, data: bytes, now_us: int, stream: int = 0, *, begun: bool
-    ) -> list[Send]:
-        """Let the core take a frame or the rest of a datagram, of which a part may have passed."""
-        self._learn(data)
+        self, link: int, data: bytes, now_us: int, stream: int, found: int, *, begun: bool
+    ) -> tuple[list[Send], int]:
+        """Let the core take a verified frame, or what follows the frames that have passed."""
         self._core_ran = True
-        receive = self._core.received_rest if begun else self._core.received
-        return receive(link, data, now_us, stream=stream)
+        length, number, _ = frame_span(data, 0) or (0, -1, 0)
+        if found == k.FRAME and number in self._learned:
+            frame = Frame(data[:length], self._learned[number])
+            timed_us = self.loop[k.TIMED]
+            t_us = None if timed_us == UNKNOWN else int(timed_us)
+            sends = [] if begun else self._core.release_due(now_us)
+            return sends + self._core.received_frame(link, frame, now_us, t_us), length
+        self._learn(data)
+        return self._core.received(link, data, now_us, stream=stream, begun=begun), len(data)
 
     def _lend(self, link: int, data: bytes, now_us: int) -> None:
         """Pass a chunk in machine code, as far as that goes."""
@@ -182,17 +217,27 @@ class CompiledCore:
     def _collect(self, now_us: int) -> tuple[list[Send], int, int]:
         """Return what leaves of a chunk, how many bytes passed, and what ended it."""
         passed, found = self.loop[k.ROW_AT], self.loop[k.FOUND]
-        sends = self._segments(-1, now_us)
+        sends = self._segments(-1)
         self._settle(now_us, news=found == k.NEWS)
         return sends + self.take_sends(), passed, found
 
-    def _segments(self, links: int, now_us: int) -> list[Send]:
+    def _release(self, now_us: int) -> list[Send]:
+        """Release delayed frames that are due, up to one of the core's."""
+        self._follow_engine()
+        self.loop[k.RELEASE] = now_us
+        self._forward(self._addresses)
+        sends = self._segments(-1)
+        self._settle(now_us)
+        return sends
+
+    def _segments(self, links: int) -> list[Send]:
         """What leaves of a chunk on some links, a bit mask."""
         found, at, segments = [], 0, self.shared.segments
         for segment in range(self.loop[k.SEGMENT]):
             length = segments[segment, k.BYTES_OUT]
             data = bytes(self.shared.outs[at : at + length])
-            found += self._core.to_links(segments[segment, k.LINKS] & links, data, now_us)
+            mask, due_us = segments[segment, k.LINKS] & links, segments[segment, k.DUE_US]
+            found += self._core.to_links(mask, data, due_us)
             at += length
         return found
 
@@ -203,15 +248,12 @@ class CompiledCore:
         self._settle(self._core.clock.t_us + self._core.senders[WALL_OFFSET])
         ports = self.ports
         for number, state in enumerate(self._core.states):
-            state.frames += ports[number, k.FRAMES]
-            state.gaps += ports[number, k.MISSING]
-            state.faulted += ports[number, k.FAULTED]
-            state.bad_signatures += ports[number, k.BAD_SIGNATURES]
-            for column in (k.FRAMES, k.MISSING, k.FAULTED, k.BAD_SIGNATURES):
+            for column, name in COUNTS.items():
+                setattr(state, name, getattr(state, name) + ports[number, column])
                 ports[number, column] = 0
 
     def _settle(self, now_us: int, *, news: bool = False) -> None:
-        """Give the core the times, the delayed frames and the passed ones.
+        """Give the core the times and the passed frames.
 
         With `news` a label has begun.
         """
@@ -221,17 +263,16 @@ class CompiledCore:
             engine.now_us = int(loop[k.WANTED_AT])  # even if an older clock's, as in the core
             engine.link_us = int(loop[k.WANTED_LINK_AT])
             loop[k.WANTED_AT] = UNKNOWN
-        at = 0
-        while at < loop[k.HELD_AT]:
-            due_us, mask, length = HELD.unpack_from(self.shared.held, at)
-            at += k.HELD_HEAD
-            core.hold(due_us, mask, bytes(self.shared.held[at : at + length]))
-            at += length
-        loop[k.HELD_AT] = 0
-        if self._tape is not None and loop[k.RECEIVED_AT]:
+        if self._tape is not None and (loop[k.RECEIVED_AT] or loop[k.SENT_AT] or loop[k.OTHER_AT]):
             self._tape.received += self.shared.received[: loop[k.RECEIVED_AT]]
             self._tape.sent += self.shared.sent[: loop[k.SENT_AT]]
             self._tape.index += self.shared.index[: loop[k.INDEX_AT]]
+            other, at = self.shared.other, 0
+            while at < loop[k.OTHER_AT]:
+                end = at + OTHER_HEAD + (other[at] << 8 | other[at + 1])
+                when_us = int.from_bytes(other[at + 2 : at + OTHER_HEAD])
+                self._tape.send(when_us, bytes(other[at + OTHER_HEAD : end]))
+                at = end
             self.drop_tape()
         if news:  # behind the frame that began it
             self._core_ran = True
@@ -247,12 +288,5 @@ class CompiledCore:
         """Discard the machine code's record of the traffic; return the number of records."""
         loop = self.loop
         records = int(loop[k.INDEX_AT]) // INDEX.size
-        loop[k.RECEIVED_AT] = loop[k.SENT_AT] = loop[k.INDEX_AT] = 0
+        loop[k.RECEIVED_AT] = loop[k.SENT_AT] = loop[k.INDEX_AT] = loop[k.OTHER_AT] = 0
         return records
-
-
-def frame_length(data: bytes, at: int) -> int:
-    """Return the length of the frame at a place, which is complete."""
-    place = frame_span(data, at)
-    assert place is not None
-    return place[0]

@@ -5,85 +5,65 @@ from typing import Any
 import numpy as np
 
 from mavproxy_fault.compiled import layout as k
-from mavproxy_fault.compiled.kernel import i64, kernel
-from mavproxy_fault.wire.frame import FLOAT_MAX
+from mavproxy_fault.compiled.kernel import i64, kernel, kernel_of
+from mavproxy_fault.fault_parts import elements
+from mavproxy_fault.wire.framing import load8, load32, load64, store8, store32, store64
 
-DOUBLE, SINGLE = ord("d"), ord("f")
 LARGEST_WHOLE = 1 << 53  # larger 64-bit integers are no exact numbers
+
+fit_float = kernel_of(elements.fit_float)
+fit_integer = kernel_of(elements.fit_integer)
 
 
 @kernel
-def little_endian(data: k.Octets, at: int, size: int) -> Any:
+def little_endian(place: int, size: int) -> Any:
     """A little-endian number of `size` bytes; 0 for none."""
+    if size == 4:
+        return i64(load32(np.uint64(place)))
+    if size == 8:
+        return i64(load64(np.uint64(place)))
     value = i64(0)
     for n in range(size):
-        value |= i64(data[at + n]) << (8 * n)
+        value |= i64(load8(np.uint64(place + n))) << (8 * n)
     return value
 
 
 @kernel
-def element_size(code: int) -> int:
-    """Bytes of one element, by its `struct` code."""
-    if code == 98 or code == 66:  # b, B
-        return 1
-    if code == 104 or code == 72:  # h, H
-        return 2
-    return 8 if code == DOUBLE or code == 113 or code == 81 else 4  # d, q, Q; f, i, I
+def copy_bytes(source: k.Octets, at: int, length: int, target: k.Octets, to: int) -> None:
+    """Copy bytes by eights; up to seven more may change behind them."""
+    begin, end = source.ctypes.data + at, target.ctypes.data + to
+    for n in range(0, length, 8):
+        store64(np.uint64(end + n), load64(np.uint64(begin + n)))
 
 
 @kernel
-def read_element(data: k.Octets, at: int, code: int) -> float:
+def read_element(place: int, size: int, kind: int) -> float:
     """The value of an element."""
-    bits = 8 * element_size(code)
-    word = little_endian(data, at, bits // 8)
-    if code == SINGLE:
+    word = little_endian(place, size)
+    if kind == k.REAL and size == 4:
         return float(np.uint32(word).view(np.float32))
-    if code == DOUBLE:
+    if kind == k.REAL:
         return float(np.uint64(word).view(np.float64))
-    if code > 96 and bits < 64 and word >> (bits - 1):  # lower case: signed
-        word -= i64(1) << bits
+    if kind == k.SIGNED and size < 8 and word >> (8 * size - 1):
+        word -= i64(1) << (8 * size)
     return float(word)
 
 
 @kernel
-def _integer_word(new: float, code: int, healthy: float, outcome: k.Doubles) -> int:
-    """The nearest integer of a type."""
-    bits = 8 * element_size(code)
-    signed = code > 96
-    low = -(i64(1) << (bits - 1)) if signed else i64(0)
-    high = (i64(1) << (bits - 1 if signed else min(bits, 63))) - 1
-    stored = i64(0)
-    if np.isnan(new):
-        outcome[k.CUT] = 1.0
+def write_element(place: int, size: int, kind: int, new: float) -> bool:
+    """Write the nearest value that the element can hold; whether that is saturated."""
+    signed, cut = 1 if kind == k.SIGNED else 0, False
+    if kind != k.REAL:
+        high = (i64(1) << min(8 * size - signed, 63)) - 1
+        word, cut = fit_integer(new, -signed * (high + 1), high)
+    elif size == 4:
+        single, cut = fit_float(new)
+        word = i64(np.float32(single).view(np.uint32))
     else:
-        outcome[k.CUT] = 0.0 if low - 0.5 <= new <= high + 0.5 else 1.0
-        stored = low if new <= low else high if new >= high else i64(np.rint(new))
-    outcome[k.STEP] = abs(np.float64(stored) - healthy)
-    return stored
-
-
-@kernel
-def write_element(
-    data: k.Octets, at: int, code: int, healthy: float, new: float, outcome: k.Doubles
-) -> bool:
-    """Write a value; whether a byte changed. Step and saturation go to `outcome`."""
-    outcome[k.CUT] = 0.0
-    word = i64(0)
-    if code == SINGLE:
-        if np.isfinite(new) and abs(new) > FLOAT_MAX:
-            outcome[k.CUT] = 1.0
-            new = FLOAT_MAX if new > 0 else -FLOAT_MAX
-        single = np.float32(new)
-        outcome[k.STEP] = abs(np.float64(single) - healthy)
-        word = i64(single.view(np.uint32))
-    elif code == DOUBLE:
-        outcome[k.STEP] = abs(new - healthy)
         word = i64(np.float64(new).view(np.uint64))
+    if size == 4:
+        store32(np.uint64(place), np.uint32(word & 0xFFFFFFFF))
     else:
-        word = _integer_word(new, code, healthy, outcome)
-    changed = False
-    for n in range(element_size(code)):
-        byte = word >> (8 * n) & 0xFF
-        changed |= data[at + n] != byte
-        data[at + n] = byte
-    return changed
+        for n in range(size):
+            store8(np.uint64(place + n), np.uint8(word >> (8 * n) & 0xFF))
+    return bool(cut)

@@ -1,6 +1,5 @@
 """Runs the compiled form on sockets: gives it the links and collects its counters."""
 
-import select
 import socket
 import time
 from collections.abc import Sequence
@@ -16,6 +15,11 @@ from mavproxy_fault.proxy.statistics import LatencyHistogram
 
 POLLIN = 1
 NAME_SIZES = {socket.AF_INET: 16, socket.AF_INET6: 28}  # bytes of a socket address
+
+COUNTERS = {
+    k.DATAGRAMS: "chunks_in", k.BYTES: "bytes_in", k.SENT: "chunks_out",
+    k.BYTES_SENT: "bytes_out", k.DROPS: "drops", k.ERRORS: "errors",
+}  # fmt: skip
 
 
 class Forwarder(CompiledCore):
@@ -57,21 +61,18 @@ class Forwarder(CompiledCore):
 
     # A stretch of forwarding
 
-    def forward(self, deadline_ns: int, *, spin: bool, precise: bool = False) -> int:
-        """Forward until `deadline_ns` of the monotonic clock or until the core had to take a frame.
-
-        With `precise` the deadline is met to some microseconds, at the cost of processor time.
-        """
+    def forward(self, deadline_ns: int, *, spin: bool) -> int:
+        """Forward until `deadline_ns` of the monotonic clock or the core had to take a frame."""
         self._refresh()
         loop = self.loop
-        loop[k.DEADLINE], loop[k.SPIN], loop[k.PRECISE] = deadline_ns, spin, precise
+        loop[k.DEADLINE], loop[k.SPIN] = deadline_ns, spin
         reason = self._forward(self._addresses)
         now_us = (loop[k.BASE] + loop[k.CAME]) // 1000
         if reason == k.HANDED_OVER:
             self._take_over(now_us)
             return reason
         if reason == k.TO_SETTLE:
-            for send in self._segments(loop[k.OTHERS], now_us):
+            for send in self._segments(loop[k.OTHERS]):
                 went = self.ports[send.link, k.WENT]  # of it, or of what was before it
                 self.ports[send.link, k.WENT] = max(went - len(send.data), 0)
                 if went < len(send.data):
@@ -93,7 +94,7 @@ class Forwarder(CompiledCore):
         link = self._links[number]
         if isinstance(link, UdpServer):
             name = self.shared.name[: self.ports[number, k.NAME_SIZE]]
-            if not link.register(bytes(name), data):
+            if not link.peers.register(bytes(name), data, time.monotonic()):
                 link.counters.refused += 1
                 return
         came_ns = self.loop[k.CAME]
@@ -101,13 +102,6 @@ class Forwarder(CompiledCore):
             sends = self.finish(number, data, now_us, stream=self._streams[number])
             self._sends += sends
             self._latencies[number].add(time.monotonic_ns() - came_ns)
-
-    @property
-    def has_more(self) -> bool:
-        """Whether the link of the newest chunk has received another one, or has ended."""
-        look = select.poll()  # takes any number of a descriptor, also of one closed since
-        look.register(int(self.ports[self.loop[k.LINK], k.FD]), POLLIN)
-        return bool(look.poll(0))
 
     @property
     def wakes_ready(self) -> bool:
@@ -161,16 +155,11 @@ class Forwarder(CompiledCore):
         super().count()
         ports, heard = self.ports, self.shared.heard
         for number, link in enumerate(self._links):
-            if not any(ports[number, column] for column in range(k.DATAGRAMS, k.NAME_SIZE)):
+            if not any(ports[number, column] for column in COUNTERS):
                 continue
-            counters = link.counters
-            counters.chunks_in += ports[number, k.DATAGRAMS]
-            counters.bytes_in += ports[number, k.BYTES]
-            counters.chunks_out += ports[number, k.SENT]
-            counters.bytes_out += ports[number, k.BYTES_SENT]
-            counters.drops += ports[number, k.DROPS]
-            counters.errors += ports[number, k.ERRORS]
-            for column in range(k.DATAGRAMS, k.NAME_SIZE):
+            for column, name in COUNTERS.items():
+                count = getattr(link.counters, name) + ports[number, column]
+                setattr(link.counters, name, count)
                 ports[number, column] = 0
             for step in range(k.LATENCY_STEPS):
                 if count := self.shared.histogram[number, step]:

@@ -1,22 +1,22 @@
 """The compiled form's frames: verified, timed, counted, changed, routed and recorded one by one.
 
 `pass_chunk` takes the frames of a datagram (or of a chunk of a stream), and appends what leaves to
-the outgoing segments. It stops at a frame that needs the interpreter, with everything as it was
-before that frame. Importing this file imports numba.
+the outgoing segments. It stops at a frame that needs the interpreter, of which only the time is
+noted. Importing this file imports numba.
 """
 
 import numpy as np
 
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.chains import apply_chain, is_ready, read_instance, seal
-from mavproxy_fault.compiled.element_bytes import little_endian
+from mavproxy_fault.compiled.element_bytes import copy_bytes
 from mavproxy_fault.compiled.kernel import i64, kernel, kernel_of
 from mavproxy_fault.compiled.layout import Shared
 from mavproxy_fault.compiled.signatures import check_signature, note_signature
-from mavproxy_fault.fault_parts.hits import FRAMES
-from mavproxy_fault.proxy import sender_rules
+from mavproxy_fault.proxy import delay_queue, sender_rules
 from mavproxy_fault.proxy import senders as cells
-from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, SAMPLE_PERIOD_US, UNIX_TIME_FROM_US
+from mavproxy_fault.proxy.interfaces import NEVER_US
+from mavproxy_fault.proxy.sender_rules import SAMPLE_PERIOD_US
 from mavproxy_fault.proxy.vehicle_clock import HIL_SENSOR
 from mavproxy_fault.wire.frame import SIGNATURE_LENGTH
 from mavproxy_fault.wire.framing import frame_header, has_valid_checksum
@@ -25,21 +25,11 @@ from mavproxy_fault.wire.framing import frame_header, has_valid_checksum
 vehicle_time = kernel_of(sender_rules.vehicle_time)
 link_time = kernel_of(sender_rules.link_time)
 missing_before = kernel_of(sender_rules.missing_before)
+put = kernel_of(delay_queue.put)
+take = kernel_of(delay_queue.take)
+read_stamp = kernel_of(sender_rules.read_stamp)
 read_target = kernel_of(sender_rules.read_target)
 select_links = kernel_of(sender_rules.select_links)
-
-
-@kernel
-def _stamp_us(payload: int, size: int, number: int, shared: Shared) -> int:
-    """The stamp of a frame in microseconds, 0 without one; as `vehicle_clock.stamp_us`."""
-    entry = shared.table[number]
-    if entry[k.STAMP_AT] < 0:
-        return i64(0)
-    length = min(entry[k.STAMP_SIZE], size - entry[k.STAMP_AT])
-    count = little_endian(shared.data, payload + entry[k.STAMP_AT], length)
-    # Eight bytes may make a negative number, or one that is too large to be scaled.
-    found = count * entry[k.STAMP_SCALE] if 0 <= count < MAX_STAMP_US else i64(0)
-    return found if found < MAX_STAMP_US else i64(0)
 
 
 @kernel
@@ -61,45 +51,27 @@ def _is_sampled(
 def _is_ready_at(
     payload: int, size: int, number: int, sender: int, link: int, now_us: int, signed: bool,
     shared: Shared,
-) -> int:  # fmt: skip
-    """The vehicle time of a frame; UNKNOWN, and no clock changed, if the core has to take it."""
-    senders, kind = shared.senders, shared.table[number, k.KIND]
-    stamp_us = _stamp_us(payload, size, number, shared)
+) -> bool:  # fmt: skip
+    """Whether a frame can pass here; TIMED is its vehicle time then, also for the core, or UNKNOWN
+    where that has to begin the timeline."""
+    senders, loop, table = shared.senders, shared.loop, shared.table[number]
+    place = (table[k.STAMP_AT], table[k.STAMP_SIZE], table[k.STAMP_SCALE])
+    stamp_us = i64(read_stamp(shared.data, payload, size, place))
     simulator_begins = number == HIL_SENSOR and senders[cells.SIMULATED] == 0
     if stamp_us and (simulator_begins or senders[cells.T0] == cells.UNKNOWN):
-        return i64(cells.UNKNOWN)
-    clock = sender << 1 | (1 if stamp_us >= UNIX_TIME_FROM_US else 0)
-    system = cells.SYSTEM_TIME + (sender >> 8)
-    before = (
-        senders[cells.CLOCK_OFFSET + clock], senders[cells.NEWEST_STAMP + clock],
-        senders[cells.LAST_HEARD + clock], senders[cells.CANDIDATE_STAMP + clock],
-        senders[system], senders[cells.NEWEST_TIME], senders[cells.UNCONFIRMED],
-        senders[cells.LINK_TIME], senders[cells.LINK_STAMP], senders[cells.LINK_STAMP_HEARD],
-        senders[cells.LINK_CLOCK],
-    )  # fmt: skip
-    t_us = vehicle_time(senders, sender, stamp_us, now_us)
+        return False
+    unconfirmed = senders[cells.UNCONFIRMED]
+    t_us = loop[k.TIMED] = vehicle_time(senders, sender, stamp_us, now_us)
     senders[cells.LINK_TIME] = link_time(senders, now_us)
-    ready = senders[cells.UNCONFIRMED] == before[6]
-    if shared.table[number, k.SAMPLED] and not _is_sampled(
-        payload, size, number, sender, t_us, shared
-    ):
-        ready = False
-    if kind != k.PASS and (
-        t_us >= shared.loop[k.EDGE] or senders[cells.LINK_TIME] >= shared.loop[k.LINK_EDGE]
-    ):
-        ready = False
-    if ready and kind == k.PLANNED:
-        ready = is_ready(payload, size, number, sender, link, t_us, signed, shared)
-    if ready:
-        return i64(t_us)
-    (
-        senders[cells.CLOCK_OFFSET + clock], senders[cells.NEWEST_STAMP + clock],
-        senders[cells.LAST_HEARD + clock], senders[cells.CANDIDATE_STAMP + clock],
-        senders[system], senders[cells.NEWEST_TIME], senders[cells.UNCONFIRMED],
-        senders[cells.LINK_TIME], senders[cells.LINK_STAMP], senders[cells.LINK_STAMP_HEARD],
-        senders[cells.LINK_CLOCK],
-    ) = before  # fmt: skip
-    return i64(cells.UNKNOWN)
+    if table[k.SAMPLED] and not _is_sampled(payload, size, number, sender, t_us, shared):
+        return False
+    at_edge = t_us >= loop[k.EDGE] or senders[cells.LINK_TIME] >= loop[k.LINK_EDGE]
+    if senders[cells.UNCONFIRMED] != unconfirmed or (table[k.KIND] != k.PASS and at_edge):
+        return False
+    return bool(
+        table[k.KIND] != k.PLANNED
+        or is_ready(payload, size, number, sender, link, t_us, signed, shared)
+    )
 
 
 @kernel
@@ -110,8 +82,7 @@ def _record(
     start = shared.loop[place]
     for n in range(8):
         log[start + n] = now_us >> (56 - 8 * n) & 0xFF
-    for n in range(length):
-        log[start + 8 + n] = source[at + n]
+    copy_bytes(source, at, length, log, start + 8)
     shared.loop[place] = start + 8 + length
 
 
@@ -136,45 +107,78 @@ def _send(source: k.Octets, at: int, length: int, mask: int, now_us: int, shared
         or segments[segment, k.LINKS] != mask
         or segments[segment, k.BYTES_OUT] + length > k.LONGEST
     ):
-        segment += 1
-        loop[k.SEGMENT] = segment + 1
-        segments[segment, k.LINKS], segments[segment, k.BYTES_OUT] = mask, 0
-    out = loop[k.OUT_AT]
-    for n in range(length):
-        shared.outs[out + n] = source[at + n]
+        segment = _begin_segment(mask, now_us, shared)
+    copy_bytes(source, at, length, shared.outs, loop[k.OUT_AT])
     loop[k.OUT_AT] += length
     segments[segment, k.BYTES_OUT] += length
-    if loop[k.KEEP]:
+    if not loop[k.KEEP]:
+        return
+    if frame_header(source.ctypes.data, at + length, at)[2] == at + length:
         _record(shared.sent, k.SENT_AT, now_us, source, at, length, shared)
+        return
+    place = loop[k.OTHER_AT]  # cut: its length, before the record
+    shared.other[place], shared.other[place + 1] = length >> 8, length & 0xFF
+    loop[k.OTHER_AT] = place + 2
+    _record(shared.other, k.OTHER_AT, now_us, source, at, length, shared)
+
+
+@kernel
+def _begin_segment(mask: int, due_us: int, shared: Shared) -> int:
+    """Begin another outgoing segment."""
+    segment = shared.loop[k.SEGMENT]
+    shared.loop[k.SEGMENT] = segment + 1
+    shared.segments[segment, k.LINKS], shared.segments[segment, k.BYTES_OUT] = mask, 0
+    shared.segments[segment, k.DUE_US] = due_us
+    return i64(segment)
 
 
 @kernel
 def _hold(item: int, mask: int, now_us: int, shared: Shared) -> None:
-    """Keep a delayed frame, and let the stretch of forwarding end when it is due."""
-    loop, held, start = shared.loop, shared.held, shared.loop[k.HELD_AT]
-    due_us = now_us + shared.items[item, k.LATE_US]
-    length = shared.items[item, k.LENGTH_OF]
-    for n in range(8):
-        held[start + n] = due_us >> (8 * n) & 0xFF
-        held[start + 8 + n] = mask >> (8 * n) & 0xFF
-        held[start + 16 + n] = length >> (8 * n) & 0xFF
-    for n in range(length):
-        held[start + k.HELD_HEAD + n] = shared.work[item * k.SLOT + n]
-    loop[k.HELD_AT] = start + k.HELD_HEAD + length
-    due_ns = (due_us - k.AHEAD_US) * 1000 - loop[k.BASE]
-    if due_ns < loop[k.DEADLINE]:
-        loop[k.DEADLINE], loop[k.PRECISE] = due_ns, 1
+    """Keep a delayed frame until it is due, if there is room."""
+    length, shared.loop[k.HELD] = shared.items[item, k.LENGTH_OF], 1
+    place = put(shared.waiting, now_us + shared.items[item, k.LATE_US], mask, length)
+    if place >= 0:
+        copy_bytes(shared.work, item * k.SLOT, length, shared.delayed, place * k.SLOT)
+
+
+@kernel
+def first_due_us(shared: Shared) -> int:
+    """When the first delayed frame is due."""
+    queue = shared.waiting
+    row = delay_queue.ROWS + delay_queue.ROW * queue[delay_queue.HEAP]
+    return i64(queue[row + delay_queue.DUE] if queue[delay_queue.COUNT] else NEVER_US)
+
+
+@kernel
+def release_due(now_us: int, shared: Shared) -> bool:
+    """Append the delayed frames that are due to the outgoing segments, up to one that the core has
+    to release; False for none."""
+    loop, queue = shared.loop, shared.waiting
+    engine_us = loop[k.ENGINE_DUE] + shared.senders[cells.WALL_OFFSET]
+    while not _is_full(shared):
+        due_us, place = first_due_us(shared), queue[delay_queue.HEAP]
+        row = delay_queue.ROWS + delay_queue.ROW * place
+        mask, length = queue[row + delay_queue.LINKS], queue[row + delay_queue.LENGTH]
+        if due_us > now_us or due_us > engine_us or length == delay_queue.OWN:
+            break
+        take(queue)
+        when_us = queue[delay_queue.LAST_DUE] = max(due_us, queue[delay_queue.LAST_DUE])
+        loop[k.OTHERS] |= mask & ~loop[k.COMPILED_LINKS]
+        if mask & loop[k.SEPARATE]:
+            _begin_segment(mask, when_us, shared)
+        _send(shared.delayed, place * k.SLOT, length, mask, when_us, shared)
+    return bool(loop[k.SEGMENT] > 0)
 
 
 @kernel
 def _is_full(shared: Shared) -> bool:
     """Whether there may be no room for what one frame becomes."""
-    loop, most = shared.loop, k.MOST_WORK * (k.SLOT + k.HELD_HEAD)
+    loop, most = shared.loop, k.MOST_WORK * (k.SLOT + 8)  # with the stamps of a log
     return bool(
         loop[k.SEGMENT] > k.SEGMENTS - 2
         or loop[k.OUT_AT] + most > k.OUT_SIZE
-        or loop[k.HELD_AT] + most > k.HELD_SIZE
         or (loop[k.KEEP] and max(loop[k.RECEIVED_AT], loop[k.SENT_AT]) + most > k.LOG_SIZE)
+        or loop[k.OTHER_AT] + most > k.OTHER_SIZE
     )
 
 
@@ -184,6 +188,7 @@ def _pass_frame(
 ) -> int:
     """Pass a frame; DONE or NEWS, FRAME or REST if the core has to take it."""
     loop, data, senders, ports = shared.loop, shared.data, shared.senders, shared.ports
+    loop[k.TIMED] = cells.UNKNOWN
     size, payload, bit = i64(data[at + 1]), at + head, i64(1) << link
     place = at + (5 if head == 10 else 3)
     sender = i64(data[place]) << 8 | i64(data[place + 1])
@@ -199,10 +204,12 @@ def _pass_frame(
     places = (entry[k.TARGET_SYSTEM], entry[k.TARGET_COMPONENT])
     mask = select_links(senders, i64(read_target(data, payload, size, places)), elsewhere)
     loop[k.OTHERS] |= mask & ~loop[k.COMPILED_LINKS]
-    sealed, cell = check_signature(at, head, stop, shared)
-    t_us = _is_ready_at(payload, size, number, sender, link, now_us, sealed, shared)
-    if t_us == cells.UNKNOWN:
+    if loop[k.SIGNING] & k.KEYED and not loop[k.SHA_INIT] and head == 10 and data[at + 2]:
         return k.FRAME
+    sealed, cell = check_signature(at, head, stop, shared)
+    if not _is_ready_at(payload, size, number, sender, link, now_us, sealed, shared):
+        return k.FRAME
+    t_us = loop[k.TIMED]
     ports[link, k.FRAMES] += 1
     seq = i64(data[at + (4 if head == 10 else 2)])
     ports[link, k.MISSING] += missing_before(senders, sender, seq)
@@ -212,50 +219,51 @@ def _pass_frame(
     if loop[k.KEEP]:
         _record_received(link, now_us, at, stop - at, shared)
     stop = note_signature(at, stop, entry[k.EXTRA], sealed, cell, link, shared)
-    signature_at = stop - SIGNATURE_LENGTH if head == 10 and data[at + 2] else 0
     if entry[k.KIND] != k.PASS:
         loop[k.WANTED_AT], loop[k.WANTED_LINK_AT] = t_us, senders[cells.LINK_TIME]
     if entry[k.KIND] != k.PLANNED:
         if mask:
             _send(data, at, stop - at, mask, now_us, shared)
         return k.DONE
-    count, changed = apply_chain(at, head, stop - at, number, link, t_us, shared)
-    left, same = 0, True
-    for item in range(count):
-        if shared.items[item, k.LENGTH_OF] == 0:
-            continue
-        left += 1
-        same &= shared.items[item, k.ALTERED] != k.CHANGED and shared.items[item, k.LATE_US] == 0
-        if mask == 0:
-            continue
-        if shared.items[item, k.ALTERED]:
-            seal(item, head, entry[k.EXTRA], signature_at, shared)
-        if shared.items[item, k.LATE_US]:
-            _hold(item, mask, now_us, shared)
-        else:
-            length = shared.items[item, k.LENGTH_OF]
-            _send(shared.work, item * k.SLOT, length, mask, now_us, shared)
-    ports[link, k.FAULTED] += left != 1 or not same
-    return k.NEWS if changed and _has_news(number, shared) else k.DONE
+    loop[k.NEW_LABEL], loop[k.CRC_EXTRA] = 0, entry[k.EXTRA]
+    loop[k.SIGNATURE_AT] = stop - SIGNATURE_LENGTH if head == 10 and data[at + 2] else 0
+    count = apply_chain(at, head, stop - at, number, link, t_us, shared)
+    ports[link, k.FAULTED] += _send_items(count, head, mask, now_us, shared)
+    return k.NEWS if loop[k.NEW_LABEL] else k.DONE
 
 
 @kernel
-def _has_news(number: int, shared: Shared) -> bool:
-    """Whether an entry of a message has acted whose label has not begun."""
-    first = shared.table[number, k.CHAIN]
-    while first >= 0:
-        entry = shared.entries[shared.steps[first, k.ENTRY]]
-        if not entry[k.ANNOUNCED] and shared.memory[entry[k.COUNTS_AT] + FRAMES]:
-            return True
-        first = shared.steps[first, k.NEXT]
-    return False
+def _send_items(count: int, head: int, mask: int, now_us: int, shared: Shared) -> bool:
+    """Send or delay the frames that one has become; whether that is not itself, at once."""
+    items, left, same = shared.items, 0, True
+    for item in range(count):
+        length, late_us = items[item, k.LENGTH_OF], items[item, k.LATE_US]
+        if length == 0:
+            continue
+        left += 1
+        same &= items[item, k.ALTERED] < k.CHANGED and late_us == 0
+        if mask == 0:
+            continue
+        if k.RESEALED <= items[item, k.ALTERED] <= k.CHANGED:
+            seal(item, head, shared)
+        if late_us:
+            _hold(item, mask, now_us, shared)
+        else:
+            _send(shared.work, item * k.SLOT, length, mask, now_us, shared)
+    return bool(left != 1 or not same)
+
+
+@kernel
+def begin_sending(loop: k.Integers) -> None:
+    """Begin with no outgoing segments."""
+    loop[k.OUT_AT] = loop[k.SEGMENT] = loop[k.OTHERS] = loop[k.HELD] = 0
 
 
 @kernel
 def begin_chunk(length: int, loop: k.Integers) -> None:
     """Begin with a chunk of so many bytes in `data`, of which nothing leaves yet."""
     loop[k.LENGTH], loop[k.ROW_AT], loop[k.FOUND] = length, 0, k.REST
-    loop[k.OUT_AT] = loop[k.SEGMENT] = loop[k.OTHERS] = 0
+    begin_sending(loop)
 
 
 @kernel

@@ -54,7 +54,7 @@ def choose(functions: Sequence[Callable[..., Any]], arguments: str) -> Callable[
 
 
 @intrinsic  # type: ignore[untyped-decorator]
-def call(_: Any, function: Any, argument: Any) -> Any:
+def draw(_: Any, function: Any, argument: Any) -> Any:
     """Call a C function of one address that returns a double, by its own address."""
 
     def code(__: Any, builder: Any, ___: Any, values: Any) -> Any:
@@ -62,6 +62,18 @@ def call(_: Any, function: Any, argument: Any) -> Any:
         return builder.call(builder.inttoptr(values[0], kind.as_pointer()), [values[1]])
 
     return types.float64(types.int64, types.int64), code
+
+
+@intrinsic  # type: ignore[untyped-decorator]
+def call(_: Any, function: Any, one: Any, two: Any, three: Any) -> Any:
+    """Call a C function of up to three words that returns one, by its address."""
+
+    def code(__: Any, builder: Any, ___: Any, values: Any) -> Any:
+        word = ir.IntType(64)
+        kind = ir.FunctionType(word, [word] * 3)
+        return builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])
+
+    return types.int64(*[types.int64] * 4), code
 
 
 @infer_getattr

@@ -5,16 +5,12 @@ numba, or numpy, which a proxy without faults need not wait for.
 """
 
 import ctypes
-import math
-import mmap
-import struct
 from typing import Any, NamedTuple
 
 from mavproxy_fault.fault_parts import memory
 from mavproxy_fault.numerics.crc import SLICES, slicing_tables
-from mavproxy_fault.numerics.sha256 import ROUNDS, STATE, sha256_constants
-from mavproxy_fault.proxy import senders
-from mavproxy_fault.wire.signing import STREAMS
+from mavproxy_fault.proxy import delay_queue, senders
+from mavproxy_fault.wire.signing import KEY_LENGTH, STREAMS
 
 ROW = 65_536  # bytes of a chunk at most
 PEERS = 32
@@ -28,9 +24,8 @@ MOST_ELEMENTS = 2048
 MOST_NUMBERS = 16_384
 MOST_KEYS = 1024  # senders that rules remember
 MOST_WORK = 64  # frames that one frame may become
-SLOT = 320  # bytes kept for each, more than the longest frame
+SLOT = delay_queue.SLOT  # bytes kept for each
 MOST_CHAIN = 32  # entries that may act on one message
-MESSAGE = 384  # bytes of a key, the longest frame and the end of SHA-256, in blocks of 64
 SAMPLES = 1024  # senders of sampled messages that are distinguished
 
 # Columns of `table`, by message id
@@ -46,42 +41,54 @@ DRAW_COUNT, DRAW, DRAWS_FROM, CHANCE, CHANCES_FROM = range(11, 16)  # addresses;
 ON_LINK, UNTIL = 16, 17  # whether it counts in link time; from when on the core has to see a frame
 COUNTS_AT = 18  # of `fault_parts.hits`, in memory
 LABEL_AT = 19  # when the core has to see a frame for a label
-ENTRY_SIZE = 20
-VALUES, DELAY, COPIES, RENUMBER, IDLE = range(5)  # effects; IDLE: none before UNTIL
+TAKES_BYTES = 20  # whether it acts on frames that another one has damaged
+ENTRY_SIZE = 21
+# Effects; IDLE: none before UNTIL
+VALUES, FLIP, DELAY, COPIES, RENUMBER, CUT, MIX, IDLE = range(8)
 # Columns of `steps`, the chains of entries on a message
 ENTRY, FROM, TO, NEXT, END, NUMBERS_FROM = range(6)  # END: bytes that the elements need
 STEP_SIZE = 6
 # Columns of `elements` and of `factors`
-OFFSET, CODE, NUMBERS_AT = range(3)
+OFFSET, BYTES_OF, KIND_OF, NUMBERS_AT = range(4)
+UNSIGNED, SIGNED, REAL = range(3)  # kinds
 FACTOR, STEP_SCALE = range(2)  # divisors, for the rule and for the label
 # Columns of `keys`: whose memory it is, and where
 KEY_ENTRY, KEY_WAY, KEY_SENDER, KEY_MESSAGE, KEY_INSTANCE, MEMORY_AT = range(6)
-STEP, CUT = range(2)  # entries of `outcome`: how far an element moved, whether it saturated
 # Columns of `work`, the frames that one frame becomes
 LENGTH_OF, LATE_US, ALTERED = range(3)
-RESEALED, CHANGED = 1, 2  # what ALTERED says: a new checksum, or other bytes too
+# What ALTERED says: a new checksum, or other bytes too, or it is no frame any more
+RESEALED, CHANGED, DAMAGED = 1, 2, 3
 # Columns of `ports`, a row per link
 FD, COMPILED, LISTENS, PEER_COUNT, FROM_VEHICLE = range(5)
 DATAGRAMS, BYTES, FRAMES, MISSING, FAULTED, SENT, BYTES_SENT, DROPS, ERRORS = range(5, 14)
 NAME_SIZE, BAD_SIGNATURES = 14, 15  # bytes of an address, 0 if it is always the same
 STREAM, WENT = 16, 17  # whether it is a stream; bytes of the chunk that it has taken
 PORT_SIZE = 18
-LINKS, BYTES_OUT = range(2)  # columns of `segments`
-# Entries of `loop`
-DEADLINE, BASE, SPIN, PRECISE, POLLS, LINK_COUNT, COMPILED_LINKS, KEEP = range(8)
+LINKS, BYTES_OUT, DUE_US = range(3)  # columns of `segments`
+# Entries of `loop`; HELD: whether a frame of the chunk is delayed
+DEADLINE, BASE, SPIN, HELD, POLLS, LINK_COUNT, COMPILED_LINKS, KEEP = range(8)
 SECONDS, NANOSECONDS, TIME_AT, POLLS_AT, NAME_LENGTH, NAME_LENGTH_AT = range(8, 14)  # and addresses
 # The chunk: its link, when it came, its bytes (LENT while another process's code lends it), how
 # many of them have passed, and what became of it
 LINK, CAME, LENGTH, LENT, ROW_AT, FOUND = range(14, 20)
 # What leaves: bytes, segments, links outside the compiled form, and those of a whole lent chunk
 OUT_AT, SEGMENT, OTHERS, MASK = range(20, 24)
-RECEIVED_AT, SENT_AT, INDEX_AT, HELD_AT = range(24, 28)  # bytes of the logs and of delayed frames
+RECEIVED_AT, SENT_AT, INDEX_AT = range(24, 27)  # bytes of the logs
+ENGINE_DUE = 27  # link time at which the core has frames to release
 EDGE, LINK_EDGE = 28, 29  # from when on the core has to see a frame, by vehicle and by link time
 WANTED_AT, WANTED_LINK_AT = 30, 31  # time of the newest frame that a fault may want
 SIGNING, KEY_COUNT = 32, 33  # what to do with signed frames, a mask of these two; rows of `keys`
 KEYED, STRIPPED = 1, 2
 SERVED = 34  # datagrams of the link in turn
-LOOP_SIZE = 35
+NEW_LABEL = 35  # whether the frame has begun one
+SEPARATE = 36  # links that send datagrams
+CRC_EXTRA, SIGNATURE_AT = 37, 38  # of the frame; 0 without a signature
+OTHER_AT = 39  # bytes of `other`
+RELEASE = 40  # until when delayed frames are to be released, and nothing else done; 0 for none
+RESTED = 41  # from when on the clock may be watched for a due frame
+TIMED = 42  # vehicle time of the frame; UNKNOWN if that is not noted yet
+SHA_INIT, SHA_UPDATE, SHA_FINAL = range(43, 46)  # addresses of OpenSSL's functions, or 0
+LOOP_SIZE = 46
 UNTOUCHED, BEGUN = -1, -2
 # Why it returns
 TIME_IS_UP, HANDED_OVER, OTHER_READY, LENT_PASSED, TO_SETTLE = range(5)
@@ -89,11 +96,9 @@ TIME_IS_UP, HANDED_OVER, OTHER_READY, LENT_PASSED, TO_SETTLE = range(5)
 # has begun, no room for output
 DONE, FRAME, REST, NEWS, FULL = range(5)
 
-HELD_SIZE = 1 << 20
-AHEAD_US = 300  # a frame due within this time is handled before anything else
-HELD_HEAD = 24  # bytes of due time, links and length before a delayed frame
 LONGEST = 65_000  # bytes of an outgoing datagram
 LOG_SIZE = 1 << 24
+OTHER_SIZE = 1 << 20
 LATENCY_STEPS = 64 * 8
 
 Integers = Any  # int64, as a memoryview on one side and a numpy array on the other
@@ -116,45 +121,39 @@ class Shared(NamedTuple):
     peers: Octets = ("B", "links", PEERS, NAME)
     heard: Integers = ("q", "links", PEERS)  # 1 where a peer has spoken since the last count
     histogram: Integers = ("q", "links", LATENCY_STEPS)  # datagrams by latency
-    data: Octets = ("B", ROW)  # the chunk
+    data: Octets = ("B", ROW + 8)  # the chunk; it is copied by eights
     senders: Integers = ("q", senders.SIZE)
     table: Integers = ("q", IDS, TABLE_SIZE)
     crc: Words = ("H", SLICES, 256)
     outs: Octets = ("B", OUT_SIZE)  # what leaves of it
-    segments: Integers = ("q", SEGMENTS, 2)  # and on which links, in turn
-    held: Octets = ("B", HELD_SIZE)  # delayed frames
+    segments: Integers = ("q", SEGMENTS, 3)  # and on which links, in turn
+    waiting: Integers = ("q", delay_queue.SIZE)
+    delayed: Octets = ("B", delay_queue.MOST * SLOT)  # the frames of `waiting`
     received: Octets = ("B", "log")
     sent: Octets = ("B", "log")
     index: Octets = ("B", "log")
+    other: Octets = ("B", OTHER_SIZE)  # what leaves but is no frame, for the log
     entries: Integers = ("q", MOST_ENTRIES, ENTRY_SIZE)
     chances: Doubles = ("d", MOST_ENTRIES)  # probabilities
     steps: Integers = ("q", MOST_STEPS, STEP_SIZE)
-    elements: Integers = ("q", MOST_ELEMENTS, 3)
+    elements: Integers = ("q", MOST_ELEMENTS, 4)
     factors: Doubles = ("d", MOST_ELEMENTS, 2)
     numbers: Doubles = ("d", MOST_NUMBERS)
     keys: Integers = ("q", MOST_KEYS, 6)
     memory: Doubles = ("d", memory.NUMBERS)
     places: Integers = ("q", MOST_CHAIN)  # where each entry of a chain has its memory
     values: Doubles = ("d", SLOT)  # of a frame's elements
+    draws: Doubles = ("d", 2 * SLOT)  # random numbers
     work: Octets = ("B", MOST_WORK * SLOT)
     items: Integers = ("q", MOST_WORK, 3)
     samples: Integers = ("q", SAMPLES, 2)  # sender and period of the newest sample
-    outcome: Doubles = ("d", 2)
-    message: Octets = ("B", MESSAGE)  # what a signature is made of; the key comes first
-    sha_words: Any = ("I", ROUNDS)
-    sha_state: Any = ("I", STATE)
-    sha_constants: Any = ("I", ROUNDS + STATE)
+    key: Octets = ("B", KEY_LENGTH)  # of signatures
+    sha_state: Octets = ("B", 256)  # OpenSSL's, of which it takes 112
+    digest: Octets = ("B", 32)
     streams: Integers = ("q", 2 * STREAMS)  # of `signing.stream_cell`
 
 
 SHAPES: dict[str, Any] = Shared._field_defaults
-
-
-def table(kind: str, *shape: int) -> Any:
-    """Zeroed memory as a view of numbers of one kind; pages cost nothing before they are used."""
-    size = struct.calcsize(kind) * math.prod(shape)
-    octets: Any = memoryview(mmap.mmap(-1, max(size, 1)))
-    return octets[:size] if kind == "B" else octets[:size].cast(kind, shape)
 
 
 def address(numbers: Any) -> int:
@@ -167,10 +166,12 @@ def new_shared(links: int, descriptors: int, *, keep: bool, **given: Any) -> Sha
     sizes = {
         "links": links, "descriptors": max(descriptors, 1), "log": LOG_SIZE if keep else 1,
     }  # fmt: skip
-    given |= {"memory": memory.ARENA, "sha_constants": sha256_constants()}
+    given |= {"memory": memory.ARENA}
     made = Shared(
         *(
-            given[name] if name in given else table(kind, *(sizes.get(one, one) for one in shape))
+            given[name]
+            if name in given
+            else memory.new_table(kind, *(sizes.get(one, one) for one in shape))
             for name, (kind, *shape) in SHAPES.items()
         )
     )

@@ -7,7 +7,7 @@ from typing import Any
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled import object_file
 from mavproxy_fault.compiled.compiled_core import CompiledCore
-from mavproxy_fault.links import datagrams
+from mavproxy_fault.links import udp
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 
@@ -52,7 +52,7 @@ class Passage(CompiledCore):
 
 def new_passage(core: Core, tape: CaptureBuffer) -> Passage | None:
     """A passage, whose machine code is made where there is none yet; None where it cannot be."""
-    if not datagrams.IS_LINUX:
+    if not udp.IS_LINUX:
         return None
     if object_file.load() is None:
         print("first use: compiling machine code, once, which takes up to a minute",

@@ -9,31 +9,30 @@ import ctypes
 import itertools
 from array import array
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from mavproxy_fault.compiled import layout as k
-from mavproxy_fault.compiled.rule_numbers import link_rules, value_rules
 from mavproxy_fault.fault_parts.elements import Element, locate_element
 from mavproxy_fault.fault_parts.memory import Memory
-from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, RuleLinkFault
+from mavproxy_fault.fault_parts.rules import (
+    LINK_RULES,
+    VALUE_RULES,
+    Numbers,
+    RuleFault,
+    RuleLinkFault,
+)
+from mavproxy_fault.faults.bit_faults import BitFlip
 from mavproxy_fault.faults.plant_fault import SimulatorFault
-from mavproxy_fault.faults.registry import our_faults
+from mavproxy_fault.faults.registry import numbered_rules, our_faults
 from mavproxy_fault.faults.timestamp_faults import TimestampFault, stamp_fields
-from mavproxy_fault.proxy.active_entry import ActiveEntry
+from mavproxy_fault.proxy.active_entry import WAYS, ActiveEntry
 from mavproxy_fault.proxy.interfaces import NEVER_US
 from mavproxy_fault.wire.dialect import Layout
 
-WAYS = ("to-vehicle", "from-vehicle")
-EFFECTS = {"delay": k.DELAY, "copies": k.COPIES, "renumber": k.RENUMBER}
+EFFECTS = {
+    "delay": k.DELAY, "copies": k.COPIES, "renumber": k.RENUMBER, "cut": k.CUT, "mix": k.MIX,
+}  # fmt: skip
 LARGEST_SHIFT_S = 1e9  # of a timestamp: with it microseconds are exact as numbers
-
-
-class Stage(NamedTuple):
-    """How far an entry has come: its fault, when its next label is due, how much it remembers."""
-
-    fault: Any
-    label_us: int
-    memories: int
 
 
 def memories_of(running: ActiveEntry) -> list[tuple[int, tuple[int, ...], Memory]]:
@@ -47,9 +46,9 @@ def memories_of(running: ActiveEntry) -> list[tuple[int, tuple[int, ...], Memory
     return found
 
 
-def stage(running: ActiveEntry) -> Stage:
-    """Return how far an entry has come."""
-    return Stage(running.fault, running.label_us, len(memories_of(running)))
+def stage(running: ActiveEntry) -> tuple[Any, int, int]:
+    """Return an entry's fault, when its next label is due, and how much it remembers."""
+    return running.fault, running.label_us, len(memories_of(running))
 
 
 def draw_addresses(kind: str, rng: Any) -> tuple[int, int]:
@@ -71,8 +70,8 @@ class Plans:
         self._shared = shared
         self.key_count = 0
         self._running: list[ActiveEntry] = []  # by row
-        self._rows: dict[int, int | None] = {}  # of an entry, by its identity
-        self._stages: list[tuple[ActiveEntry, Stage]] = []
+        self._rows: dict[ActiveEntry, int | None] = {}
+        self._stages: list[tuple[ActiveEntry, tuple[Any, int, int]]] = []
         self._steps_used = self._elements_used = self._numbers_used = 0
 
     def clear(self) -> None:
@@ -115,35 +114,36 @@ class Plans:
 
     def _row(self, running: ActiveEntry) -> int | None:
         """Return the row of an entry, None if it has no rule or there is no room."""
-        if id(running) not in self._rows:
+        if running not in self._rows:
             self._stages.append((running, stage(running)))
-            self._rows[id(running)] = self._new_row(running)
-        return self._rows[id(running)]
+            self._rows[running] = self._new_row(running)
+        return self._rows[running]
 
     def _new_row(self, running: ActiveEntry) -> int | None:
-        fault, row, where = running.fault, len(self._running), running.entry.where
+        fault, row = running.fault, len(self._running)
         kind = type(fault)
-        if where.endpoint is not None:
+        if running.entry.where.endpoint is not None:
             return None
         if row == k.MOST_ENTRIES or our_faults().get(getattr(kind, "name", "")) is not kind:
             return None
         plan = [-1] * k.ENTRY_SIZE
         if isinstance(fault, RuleFault) and fault.rule is not None:
-            plan[k.EFFECT], plan[k.RULE] = k.VALUES, value_rules().index(fault.rule)
+            plan[k.EFFECT], plan[k.RULE] = k.VALUES, numbered_rules(VALUE_RULES).index(fault.rule)
             profile = getattr(fault, "profile", None)
             # One more than the numbers of an element; 0 for no memory.
             shared = profile is not None and profile.remembers
             plan[k.REMEMBERS] = fault.remembers + 1 if fault.remembers or shared else 0
-        elif (
-            isinstance(fault, RuleLinkFault)
-            and fault.effect in EFFECTS
-            and getattr(fault, "profile", None) is None
-        ):
-            plan[k.EFFECT], plan[k.RULE] = EFFECTS[fault.effect], link_rules().index(fault.rule)
+        elif isinstance(fault, RuleLinkFault) and getattr(fault, "profile", None) is None:
+            plan[k.EFFECT], plan[k.RULE] = (
+                EFFECTS[fault.effect],
+                numbered_rules(LINK_RULES).index(fault.rule),
+            )
             plan[k.REMEMBERS] = int(fault.remembers > 0)
         elif isinstance(fault, TimestampFault) and max(map(abs, fault.error())) < LARGEST_SHIFT_S:
-            plan[k.EFFECT], plan[k.RULE] = k.VALUES, value_rules().index(fault.rule)
+            plan[k.EFFECT], plan[k.RULE] = k.VALUES, numbered_rules(VALUE_RULES).index(fault.rule)
             plan[k.REMEMBERS] = 0
+        elif isinstance(fault, BitFlip):
+            plan[k.EFFECT], plan[k.REMEMBERS] = k.FLIP, 0
         elif isinstance(fault, SimulatorFault):
             plan[k.EFFECT], plan[k.REMEMBERS] = k.IDLE, 0
         else:
@@ -151,16 +151,12 @@ class Plans:
         begun = running.label_us > -NEVER_US
         plan[k.START], plan[k.BY_SENDER] = running.start_us, getattr(fault, "by_sender", False)
         plan[k.SEALED_TOO], plan[k.ANNOUNCED] = running.takes_sealed, begun
-        plan[k.COUNTS_AT] = running.counts.at
+        plan[k.COUNTS_AT], plan[k.TAKES_BYTES] = running.counts.at, running.takes_bytes
         # The core sees the first frame of a fault that has something to do at intervals.
         plan[k.UNTIL] = 0 if hasattr(fault, "idle_until_us") else NEVER_US
         plan[k.ON_LINK] = running.on_link
         plan[k.LABEL_AT] = running.label_us if begun else NEVER_US
-        direction = None if where.direction is None else WAYS.index(where.direction)
-        plan[k.SYSTEM : k.INSTANCE + 1] = [
-            -1 if one is None else one
-            for one in (where.system, where.component, direction, where.id)
-        ]
+        plan[k.SYSTEM : k.INSTANCE + 1] = running.where
         plan[k.DRAW_COUNT] = getattr(fault, "draw_count", 1)
         if drawn := getattr(fault, "drawn", ""):
             plan[k.DRAW : k.DRAWS_FROM + 1] = draw_addresses(drawn, running.rng)
@@ -196,7 +192,7 @@ class Plans:
                 (locate_element(layout, name), (*fault.error(), scale), 1.0, scale)
                 for name, scale in stamp_fields(layout).items()
             ]
-        if not isinstance(fault, RuleFault):
+        if not isinstance(fault, RuleFault | BitFlip):
             return []
         elements = fault.elements[layout.id]
         factors = fault.factors.get(layout.id, (1.0,) * len(elements))
@@ -206,11 +202,11 @@ class Plans:
     def _add_step(self, layout: Layout, running: ActiveEntry, row: int) -> bool:
         """Write the row of one entry on one message, where it can act there."""
         found, fault = self._elements_of(layout, running.fault), running.fault
-        stateful = self._shared.entries[row, k.REMEMBERS] > 0
+        inexact = self._shared.entries[row, k.REMEMBERS] > 0 or isinstance(fault, BitFlip)
         numbers = fault.numbers() if isinstance(fault, RuleLinkFault) else ()
         room = sum(len(one[1]) for one in found) + len(numbers)
         if (
-            any(one.code in "qQ" and stateful for one, *_ in found)
+            any(one.code in "qQ" and inexact for one, *_ in found)
             or self._steps_used == k.MOST_STEPS
             or self._elements_used + len(found) > k.MOST_ELEMENTS
             or self._numbers_used + room > k.MOST_NUMBERS
@@ -228,7 +224,8 @@ class Plans:
         self._add_numbers(numbers)
         for one, values, factor, scale in found:
             place = self._elements_used
-            element = (one.start, ord(one.code), self._numbers_used)
+            kind = k.REAL if one.code in "fd" else k.SIGNED if one.code.islower() else k.UNSIGNED
+            element = (one.start, one.end - one.start, kind, self._numbers_used)
             for column, value in enumerate(element):
                 self._shared.elements[place, column] = value
             self._shared.factors[place, k.FACTOR], self._shared.factors[place, k.STEP_SCALE] = (

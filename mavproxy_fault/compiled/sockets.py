@@ -9,14 +9,23 @@ from typing import Any
 from numba import types
 
 from mavproxy_fault.compiled import layout as k
-from mavproxy_fault.compiled.frames import begin_chunk, pass_chunk
+from mavproxy_fault.compiled.frames import (
+    begin_chunk,
+    begin_sending,
+    first_due_us,
+    pass_chunk,
+    release_due,
+)
 from mavproxy_fault.compiled.kernel import i64, kernel
 from mavproxy_fault.compiled.layout import Shared
 
 DONTWAIT = 0x40
 MONOTONIC = 1  # clock
-EARLY_NS = 250_000  # a sleep may end so late
+# Before a delayed frame the clock is watched for this long, and as many times longer not: a sleep
+# ends late by 25 to 60 us, and watching would cost a dense jitter a whole processor.
+WAKE_NS, REST = 100_000, 10
 LOOK_EVERY = 63  # rounds of a spinning loop between looks at what is no UDP link
+LATEST_US = 1 << 52  # in nanoseconds it fits 64 bits
 TURN = 64  # datagrams of a link before the next link has its turn
 GOES_ON, IS_EMPTY = -1, -2  # what `_serve` found when there is no reason to return
 
@@ -110,12 +119,36 @@ def _send_segments(shared: Shared) -> None:
 
 
 @kernel
+def _deadline_ns(now_ns: int, shared: Shared) -> int:
+    """When to do something else than to receive: the interpreter's time, or a delayed frame's."""
+    loop = shared.loop
+    ahead_ns = WAKE_NS if now_ns >= loop[k.RESTED] else 0
+    due_ns = min(first_due_us(shared), LATEST_US) * 1000 - loop[k.BASE] - ahead_ns
+    return i64(min(due_ns, loop[k.DEADLINE]))
+
+
+@kernel
+def _send_due(shared: Shared) -> bool:
+    """Watch the clock until a delayed frame is due, and send all that are; False for none."""
+    loop = shared.loop
+    due_ns = first_due_us(shared) * 1000 - loop[k.BASE]
+    begun_ns = now_ns = _now_ns(loop)
+    while now_ns < due_ns:
+        now_ns = _now_ns(loop)
+    loop[k.RESTED] = now_ns + REST * (now_ns - begun_ns)
+    begin_sending(loop)
+    found = release_due((now_ns + loop[k.BASE]) // 1000, shared)
+    _send_segments(shared)
+    return bool(found)
+
+
+@kernel
 def _give_back(shared: Shared) -> None:
     """Put what became of a lent chunk in its place, if all of it leaves together at once; MASK are
     then its links, else UNTOUCHED or BEGUN."""
     loop = shared.loop
     loop[k.MASK] = k.BEGUN if loop[k.ROW_AT] else k.UNTOUCHED
-    if loop[k.HELD_AT] or loop[k.FOUND] != k.DONE or loop[k.SEGMENT] > 1:
+    if loop[k.HELD] or loop[k.FOUND] != k.DONE or loop[k.SEGMENT] > 1:
         return
     if loop[k.OUT_AT] == 0 or loop[k.OUT_AT] == loop[k.LENGTH]:
         loop[k.MASK] = shared.segments[0, k.LINKS] if loop[k.SEGMENT] else 0
@@ -128,7 +161,7 @@ def _serve(link: int, shared: Shared) -> int:
     """Pass on a datagram or chunk of a link; the reason to return, or GOES_ON or IS_EMPTY."""
     loop, ports = shared.loop, shared.ports
     started = _now_ns(loop)
-    if started >= loop[k.DEADLINE]:  # what is due leaves before it
+    if started >= _deadline_ns(started, shared):  # what is due leaves before it
         return k.TIME_IS_UP
     loop[k.NAME_LENGTH], descriptor, data_at = k.NAME, ports[link, k.FD], shared.data.ctypes.data
     if ports[link, k.STREAM]:
@@ -202,18 +235,25 @@ def forward(shared: Shared) -> int:
         pass_chunk(shared)
         _give_back(shared)
         return k.LENT_PASSED
+    if loop[k.RELEASE]:
+        begin_sending(loop)
+        release_due(loop[k.RELEASE], shared)
+        loop[k.RELEASE] = 0
+        return k.LENT_PASSED
     rounds = i64(0)
     while True:
-        remaining_ns = loop[k.DEADLINE] - _now_ns(loop)
+        now_ns = _now_ns(loop)
+        remaining_ns = _deadline_ns(now_ns, shared) - now_ns
         if remaining_ns <= 0:
-            return k.TIME_IS_UP
+            if now_ns >= loop[k.DEADLINE] or not _send_due(shared):
+                return k.TIME_IS_UP
+            if loop[k.OTHERS]:
+                return k.TO_SETTLE
+            continue
         look = loop[k.SPIN] == 0 or rounds & LOOK_EVERY == 0
         rounds += 1
-        if look:
-            # A processor takes its time to wake: before a due frame sleep less, then stay up.
-            early = EARLY_NS if loop[k.PRECISE] else 0
-            if not _wait(0 if loop[k.SPIN] else max(remaining_ns - early, 0), loop):
-                return k.TIME_IS_UP
+        if look and not _wait(0 if loop[k.SPIN] else remaining_ns, loop):
+            return k.TIME_IS_UP
         reason = _serve_links(look, shared)
-        if reason >= 0:
+        if reason > k.TIME_IS_UP:
             return reason

@@ -31,25 +31,32 @@ def locate_element(layout: Layout, name: str, index: int = 0) -> Element:
     return Element(name, index, start, start + field.size, field.code)
 
 
+def fit_float(value: float) -> tuple[float, bool]:
+    """Return the nearest value of a float32, and whether it was saturated; a rule (`rules`)."""
+    if not math.isfinite(value) or abs(value) <= FLOAT_MAX:
+        return value, False
+    return math.copysign(FLOAT_MAX, value), True
+
+
+def fit_integer(value: Number, low: int, high: int) -> tuple[int, bool]:
+    """Return the nearest integer from `low` to `high`, and whether it was saturated; a rule.
+
+    Up to half a count beyond the limit is rounding, not saturation.
+    """
+    if value != value:  # NaN, which integers cannot represent and comparisons do not detect
+        return 0, True
+    if value <= low:
+        return low, value < low - 0.5
+    if value >= high:
+        return high, value > high + 0.5
+    return round(value), False
+
+
 def fit_to_type(code: str, value: Number) -> tuple[Number, bool]:
     """Return the nearest value that a type can hold, and whether it was saturated."""
     if code == "f":
-        if -FLOAT_MAX <= value <= FLOAT_MAX or not math.isfinite(value):
-            return value, False
-        return math.copysign(FLOAT_MAX, value), True
-    if code == "d":
-        return value, False
-    # NaN, which integers cannot represent and comparisons do not detect.
-    if value != value:
-        return 0, True
-    low, high = INTEGER_LIMITS[code]
-    # Up to half a count beyond the limit is rounding, not saturation.
-    if value < low - 0.5:
-        return low, True
-    if value > high + 0.5:
-        return high, True
-    # `round` may exceed the limit by one count.
-    return min(max(round(value), low), high), False
+        return fit_float(value)
+    return (value, False) if code == "d" else fit_integer(value, *INTEGER_LIMITS[code])
 
 
 def read_elements(frame: Frame, elements: Sequence[Element]) -> list[Number]:

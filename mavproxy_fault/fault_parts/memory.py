@@ -4,14 +4,24 @@ What a rule remembers of a sender (a frozen value, the state of a channel) lies 
 called from either side at any frame.
 """
 
+import math
 import mmap
+import struct
 import threading
 from array import array
 from typing import Any
 
 NUMBERS = 1 << 22  # 32 MB of address space; pages are used only when touched
 
-ARENA: Any = memoryview(mmap.mmap(-1, 8 * NUMBERS)).cast("d")
+
+def new_table(kind: str, *shape: int) -> Any:
+    """Zeroed memory as a view of numbers of one kind; pages cost nothing before they are used."""
+    size = struct.calcsize(kind) * math.prod(shape)
+    octets: Any = memoryview(mmap.mmap(-1, max(size, 1)))
+    return octets[:size] if kind == "B" else octets[:size].cast(kind, shape)
+
+
+ARENA: Any = new_table("d", NUMBERS)
 _free: dict[int, list[int]] = {}  # offsets of released regions, by size
 _used = 0
 _lock = threading.Lock()

@@ -25,7 +25,7 @@ from mavproxy_fault.wire.frame import STX_V2, Frame, Number
 Numbers = Sequence[float]
 Rule = Callable[..., Any]
 Drawn = Literal["", "random", "standard_normal", "standard_exponential"]
-Effect = Literal["delay", "copies", "cut", "renumber"]
+Effect = Literal["delay", "copies", "cut", "renumber", "mix"]
 LOST = -1  # what a rule with the effect `delay` returns for a lost frame
 
 VALUE_RULES: list[Rule] = []
@@ -87,9 +87,9 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
     """A fault of the link with a rule, which acts on each frame by one number.
 
     By `effect` that number is a delay in microseconds or `LOST`, a count of copies, of bytes that
-    are cut off, or an offset of the sequence number. The rule's parameters are the fields named in
-    `parameters`. `remembers` is the count of numbers that it keeps per direction. It draws random
-    numbers unless it is `certain`.
+    are cut off or changed, or an offset of the sequence number. The rule's parameters are the
+    fields named in `parameters`. `remembers` is the count of numbers that it keeps per direction.
+    It draws random numbers unless it is `certain`.
     """
 
     rule: ClassVar[Rule]
@@ -132,9 +132,7 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
     ) -> list[Outgoing]:
         """Return what the rule makes of the frame."""
         raw = frame if isinstance(frame, bytes) else frame.raw
-        u, *more = getattr(rng, self.drawn)(self.draw_count).tolist() if self.drawn else (0.0,)
-        v, p = more[0] if more else 0.0, self.numbers()
-        number = int(type(self).rule(float(t_us), len(raw), p, memory.numbers, u, v))
+        number, p = self.choose(len(raw), t_us, memory, rng), self.numbers()
         if self.effect == "delay":
             return [] if number == LOST else [delayed(frame, t_us, number)]
         if self.effect == "copies":
@@ -147,6 +145,12 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
             return [Outgoing(t_us, raw[: max(len(raw) - number, 1)])]
         assert isinstance(frame, Frame)
         return [Outgoing(t_us, renumbered(frame, number))]
+
+    def choose(self, size: int, t_us: int, memory: Memory, rng: Generator) -> int:
+        """Return the rule's number for a frame of `size` bytes."""
+        u, *more = getattr(rng, self.drawn)(self.draw_count).tolist() if self.drawn else (0.0,)
+        v, p = more[0] if more else 0.0, self.numbers()
+        return int(type(self).rule(float(t_us), size, p, memory.numbers, u, v))
 
 
 class ProfiledState(msgspec.Struct):
@@ -208,6 +212,24 @@ def repeated_draw(u: float, v: float, share: float, m: Any) -> float:
     if not m[0] or v >= share:
         m[0], m[1] = 1.0, u
     return float(m[1])
+
+
+def choose_place(n: int, count: int, size: int, draws: Any) -> int:
+    """Return the n-th of `count` different places out of `size`, by Floyd's algorithm [1]_.
+
+    It is drawn with `draws[n]`, which becomes the place; those before are so already.
+
+    References
+    ----------
+    .. [1] Bentley and Floyd, Communications of the ACM 30(9), 1987.
+    """
+    last = size - count + n
+    place = int(draws[n] * (last + 1))
+    for earlier in range(n):
+        if draws[earlier] == place:
+            place = last
+    draws[n] = float(place)
+    return place
 
 
 def delayed(frame: Frame | bytes, t_us: int, by_us: int) -> Outgoing:

@@ -4,9 +4,14 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from mavproxy_fault.fault_parts.fault import Generator
 from mavproxy_fault.fault_parts.profile import MODES
-from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
+from mavproxy_fault.fault_parts.rules import (
+    Drawn,
+    Numbers,
+    RuleFault,
+    choose_place,
+    value_rule,
+)
 from mavproxy_fault.fault_parts.value_fault import GYRO, ValueFault
 from mavproxy_fault.faults.profile_faults import combine_number
 from mavproxy_fault.wire.dialect import PACKERS, message_layout
@@ -23,40 +28,53 @@ GROUPS = {
 Group = Literal["accel", "gyro", "mag", "baro", "airspeed"]
 
 
+def count_flips(bits: int, p: Numbers) -> int:
+    """Return how many of an element's bits are drawn; a rule."""
+    return 0 if p[1] >= 0 else min(int(p[0]), bits)
+
+
+def flip_bits(data: Any, at: int, bits: int, p: Numbers, draws: Any) -> None:
+    """Flip drawn bits of an element as encoded on the wire, or bit `p[1]`; a rule."""
+    count = count_flips(bits, p)
+    for n in range(max(count, 1)):
+        # The bit number wraps in narrower fields.
+        place = choose_place(n, count, bits, draws) if count else int(p[1]) % bits
+        data[at + place // 8] ^= 1 << place % 8
+
+
 class BitFlip(ValueFault, frozen=True, kw_only=True):
     """Flip bits of the elements as encoded on the wire: `value` random ones, or `bit`."""
 
     name: ClassVar[str] = "bit-flip"
     example: ClassVar[dict[str, Any]] = {"target": GYRO}
-    draws: ClassVar[bool] = True
+    effect: ClassVar[str] = "flip"
     on_wire: ClassVar[bool] = True
     by_sender: ClassVar[bool] = True  # the message id gives the types of the elements
 
     value: Annotated[int, Meta(ge=1, le=64)] = 1
     bit: Annotated[int, Meta(ge=0, le=63)] | None = None
 
+    @property
+    def drawn(self) -> Drawn:
+        """Nothing for a given bit."""
+        return "random" if self.bit is None else ""
+
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return how many bits are flipped, and which one, -1 if they are drawn."""
+        return [(float(self.value), -1.0 if self.bit is None else float(self.bit))] * count
+
     def after(
         self, before: list[Number], key: tuple[int, ...], t_s: float, state: Any, rng: Any
     ) -> tuple[list[Number], Any]:
         """Flip bits in each element of one frame."""
-        elements = self.elements[key[2]]
-        return [self._flipped(x, elements[n].code, rng) for n, x in enumerate(before)], None
-
-    def _flipped(self, value: Number, code: str, rng: Generator) -> Number:
-        packer = PACKERS[code]
-        width = 8 * packer.size
-        if self.bit is None:
-            # `replace=False`: the same bit flipped twice would have no effect.
-            chosen = [int(b) for b in rng.choice(width, min(self.value, width), replace=False)]
-        else:
-            # The bit number wraps in narrower fields.
-            chosen = [self.bit % width]
-        # On the encoded bytes, so that floats change in sign, exponent or mantissa.
-        word = int.from_bytes(packer.pack(value), "little")
-        for bit in chosen:
-            word ^= 1 << bit
-        flipped: Number = packer.unpack(word.to_bytes(packer.size, "little"))[0]
-        return flipped
+        found, p = [], self.numbers(1)[0]
+        for x, element in zip(before, self.elements[key[2]], strict=True):
+            packer = PACKERS[element.code]
+            data = bytearray(packer.pack(x))
+            count = count_flips(8 * len(data), p)
+            flip_bits(data, 0, 8 * len(data), p, rng.random(count).tolist() if count else [])
+            found.append(packer.unpack(data)[0])
+        return found, None
 
 
 class NotANumber(RuleFault, frozen=True, kw_only=True):

@@ -4,14 +4,28 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from mavproxy_fault.fault_parts.fault import Generator, LinkFault, Outgoing
-from mavproxy_fault.fault_parts.rules import Effect, Numbers, RuleLinkFault, link_rule
+from mavproxy_fault.fault_parts.fault import Generator, Outgoing
+from mavproxy_fault.fault_parts.memory import Memory
+from mavproxy_fault.fault_parts.rules import (
+    Drawn,
+    Effect,
+    Numbers,
+    RuleLinkFault,
+    choose_place,
+    link_rule,
+)
 from mavproxy_fault.faults.loss import Share
 from mavproxy_fault.faults.timing import choose_share
 from mavproxy_fault.wire.frame import Frame
 
 
-class Corrupt(LinkFault, frozen=True, kw_only=True):
+def mix_bytes(data: Any, at: int, size: int, count: int, draws: Any) -> None:
+    """Change `count` of `size` bytes, each to another value; a rule, with two draws for each."""
+    for n in range(count):
+        data[at + choose_place(n, count, size, draws)] ^= 1 + int(draws[count + n] * 255)
+
+
+class Corrupt(RuleLinkFault, frozen=True, kw_only=True):
     """Replace `count` random payload bytes in a fraction `value` of the frames.
 
     The CRC is `left` unchanged, so that receivers reject the frame, or `redone` to match.
@@ -19,35 +33,35 @@ class Corrupt(LinkFault, frozen=True, kw_only=True):
 
     name: ClassVar[str] = "corrupt"
     example: ClassVar[dict[str, Any]] = {"crc": "redone", "target": "HIL_SENSOR"}
+    rule = staticmethod(choose_share)
+    effect: ClassVar[Effect] = "mix"
+    drawn: ClassVar[Drawn] = "random"
 
     value: Share = 1.0
     count: Annotated[int, Meta(ge=1)] = 1
     crc: Literal["left", "redone"] = "left"
 
-    def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: Generator
-    ) -> tuple[list[Outgoing], Any]:
-        """Replace some bytes, each by a different value."""
-        # No random draw if every frame is affected.
-        if self.value < 1.0 and rng.random() >= self.value:
-            return [Outgoing(t_us, frame)], None
-        if isinstance(frame, bytes):
-            return [Outgoing(t_us, self._mixed(frame, rng))], None
-        payload = self._mixed(frame.payload, rng)
-        if self.crc == "redone":
-            return [Outgoing(t_us, frame.with_payload(payload))], None
-        # Header and checksum stay, so that receivers reject the frame.
-        end = frame.payload_at + frame.length
-        raw = frame.raw[: frame.payload_at] + payload + frame.raw[end:]
-        return [Outgoing(t_us, raw)], None
+    def numbers(self) -> Numbers:
+        """Return share, number of bytes, and whether the CRC matches."""
+        return self.value, float(self.count), float(self.crc == "redone")
 
-    def _mixed(self, data: bytes, rng: Generator) -> bytes:
-        mixed = bytearray(data)
-        places = rng.choice(len(mixed), min(self.count, len(mixed)), replace=False)
-        # From 1, since XOR with 0 would change nothing.
-        for place, change in zip(places, rng.integers(1, 256, len(places)), strict=True):
-            mixed[place] ^= int(change)
-        return bytes(mixed)
+    def outcome(
+        self, frame: Frame | bytes, t_us: int, memory: Memory, rng: Generator
+    ) -> list[Outgoing]:
+        """Replace some bytes; of what is not a frame, any of them."""
+        if isinstance(frame, bytes):
+            raw, at, size = frame, 0, len(frame)
+        else:
+            raw, at, size = frame.raw, frame.payload_at, frame.length
+        count = min(self.choose(len(raw), t_us, memory, rng), size)
+        if not count:
+            return [Outgoing(t_us, frame)]
+        mixed = bytearray(raw)
+        mix_bytes(mixed, at, size, count, rng.random(2 * count).tolist())
+        if isinstance(frame, Frame) and self.crc == "redone":
+            return [Outgoing(t_us, frame.with_payload(bytes(mixed[at : at + size])))]
+        # Header and checksum stay, so that receivers reject the frame.
+        return [Outgoing(t_us, bytes(mixed))]
 
 
 class Truncate(RuleLinkFault, frozen=True, kw_only=True):

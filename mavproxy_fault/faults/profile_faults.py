@@ -30,11 +30,7 @@ def combine_number(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> 
 def combine_profile(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Combine the healthy value with the profile's by the mode `p[0]`; `m` is its memory."""
     held, value = profile_value(p[1:], t_s, m)
-    if not held:
-        return x[i]
-    if p[0] == 0.0:
-        return x[i] + value
-    return x[i] * value if p[0] == 1.0 else value
+    return combine_number(x, i, t_s, (p[0], value), m, u) if held else x[i]
 
 
 class ProfileFault(RuleFault, frozen=True, kw_only=True):

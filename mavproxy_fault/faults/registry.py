@@ -5,11 +5,13 @@ takes precedence over a plugin of the same name.
 """
 
 import pkgutil
+from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from typing import Any
 
 from mavproxy_fault import faults
+from mavproxy_fault.fault_parts.rules import Rule
 
 
 @cache
@@ -24,6 +26,13 @@ def our_faults() -> dict[str, type[Any]]:
             if own and isinstance(vars(kind).get("name"), str):
                 found[kind.name] = kind
     return found
+
+
+def numbered_rules(rules: Sequence[Rule]) -> list[Rule]:
+    """Return all `VALUE_RULES` or `LINK_RULES` in the order of their names: compiled code calls
+    them by their place, whatever was imported first."""
+    our_faults()
+    return sorted(rules, key=lambda rule: f"{rule.__module__}.{rule.__name__}")
 
 
 @cache

@@ -37,7 +37,7 @@ class Stream:
         self._descriptors = descriptors
         self._counters = counters
         self._empty_is_end = empty_is_end
-        self._queue: deque[tuple[bytes, int]] = deque()  # bytes, number of chunks
+        self._queue: deque[bytes] = deque()
         self._queued = 0
         self._awaits_room = False
         descriptors.add(fileno)
@@ -52,13 +52,13 @@ class Stream:
         """Whether data are still to be sent, or sent in pieces only."""
         return bool(self._queue) or self.piece is not None
 
-    def write(self, data: bytes, chunks: int = 1) -> None:
+    def write(self, data: bytes) -> None:
         """Send, or queue what the kernel does not accept; drop entire chunks beyond the limit."""
         # Entire chunks: half a frame would make the receiver lose synchronization.
         if self._queued + len(data) > QUEUE_LIMIT:
-            self._counters.drops += chunks
+            self._counters.drops += 1
             return
-        self._queue.append((data, chunks))
+        self._queue.append(data)
         self._queued += len(data)
         if self.open and len(self._queue) == 1:
             self.flush()
@@ -67,7 +67,7 @@ class Stream:
         """Send queued data until the kernel accepts no more; the rest is sent later."""
         queue = self._queue
         while queue:
-            data, chunks = queue[0]
+            data = queue[0]
             try:
                 sent = self._write(data[: self.piece])
             except OSError:  # buffer full, or connection lost, which the next read detects
@@ -76,10 +76,10 @@ class Stream:
             self._counters.bytes_out += sent
             if sent < len(data):
                 # Send the rest of this chunk first, or its frame would be split.
-                queue[0] = data[sent:], chunks
+                queue[0] = data[sent:]
                 break
             queue.popleft()
-            self._counters.chunks_out += chunks
+            self._counters.chunks_out += 1
         self._await_room(wanted=bool(queue))
 
     def read(self, most: int = READ_SIZE) -> tuple[bytes, bool]:
@@ -101,7 +101,7 @@ class Stream:
 
     def abandon(self) -> None:
         """Stop watching the descriptor before its owner closes it; count queued data as dropped."""
-        self._counters.drops += sum(chunks for _, chunks in self._queue)
+        self._counters.drops += len(self._queue)
         self._queue.clear()
         self._queued = 0
         # The kernel removes a closed descriptor by itself.

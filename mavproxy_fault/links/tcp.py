@@ -9,7 +9,6 @@ import logging
 import socket
 import struct
 import time
-from collections.abc import Sequence
 from typing import Any
 
 from mavproxy_fault.links.descriptors import Descriptors
@@ -18,10 +17,8 @@ from mavproxy_fault.links.peers import MAX_PEERS
 from mavproxy_fault.links.stream import READ_SIZE, REOPEN_S, ReopenedLink, Stream
 
 LOG = logging.getLogger(__name__)
-ACCEPT_CHECK_S = 0.1  # between checks for new connections while a single peer sends continuously
 ACCEPT_PAUSE_S = 0.5  # without accepting connections after running out of descriptors
 KEEPALIVE_IDLE_S = 60  # idle time before 3 probes at 10 s: a lost peer is found in 90 s
-MAX_JOINED_BYTES = 1 << 16  # bytes at most that are queued, or dropped, as one
 RECEIVE_BUFFER = 1 << 17  # bytes, 2,500 small frames: TCP throttles a fast sender early
 
 
@@ -83,7 +80,6 @@ class TcpServer:
         self.counters = LinkCounters()
         self._peers: dict[int, tuple[socket.socket, Stream, int]] = {}  # by descriptor
         self._next_stream = 0
-        self._accept_checked_s = 0.0  # when new connections were last checked
         self._reserve = socket.socket()  # a descriptor to free when none are left
         self._warned = False
         self._accept_paused_until_s: float | None = None  # while the listener is not watched
@@ -131,12 +127,6 @@ class TcpServer:
         """Accept peers, continue pending writes, and return received data."""
         chunks: list[Chunk] = []
         now_s = time.monotonic()
-        if len(self._peers) == 1 and now_s - self._accept_checked_s < ACCEPT_CHECK_S:
-            # With a single peer one system call suffices instead of two.
-            self._read_from(next(iter(self._peers)), READ_SIZE, chunks)
-            if chunks:
-                return chunks
-        self._accept_checked_s = now_s
         if self._accept_paused_until_s is not None and now_s >= self._accept_paused_until_s:
             self._accept_paused_until_s = None
             self._descriptors.add(self._listener.fileno())
@@ -228,16 +218,6 @@ class TcpServer:
             self.counters.drops += 1
         for _, stream, _ in self._peers.values():
             stream.write(data)
-
-    def write_all(self, chunks: Sequence[bytes]) -> None:
-        """Send several chunks to every peer, with one system call per peer."""
-        data = b"".join(chunks)
-        if not self._peers or len(data) > MAX_JOINED_BYTES:
-            for chunk in chunks:
-                self.write(chunk)
-            return
-        for _, stream, _ in self._peers.values():
-            stream.write(data, len(chunks))
 
     def close(self) -> None:
         """Close the listener and all connections."""

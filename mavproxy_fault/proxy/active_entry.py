@@ -12,6 +12,7 @@ from mavproxy_fault.fault_parts import hits
 from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.fault_parts.memory import Memory
 from mavproxy_fault.proxy.interfaces import NEVER_US
+from mavproxy_fault.proxy.sender_rules import is_selected
 from mavproxy_fault.schedule.entries import Entry
 from mavproxy_fault.schedule.triggers import Telemetry
 from mavproxy_fault.wire.frame import Frame
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 LOG = logging.getLogger(__name__)
 DIRECTIONS = "", "to-vehicle", "from-vehicle", "both"  # of an activation, by bit mask
+WAYS = DIRECTIONS[1:3]
+ANY = -1  # of `where`
 VALUE_LABEL_INTERVAL_US = 200_000  # between two labels of new values: a slider moves faster
 
 
@@ -91,11 +94,12 @@ class ActiveEntry:
         self._described: tuple[Any, ...] = ()
         self._description: dict[str, Any] = {}
         where = entry.where
-        # A tuple, as it is read for each frame.
-        self._where = (where.system, where.component, where.direction, where.id)
+        way = None if where.direction is None else WAYS.index(where.direction)
+        numbers = (where.system, where.component, way, where.id)
+        self.where: Any = tuple(ANY if one is None else one for one in numbers)  # `is_selected`
         self.endpoint_links = -1 if where.endpoint is None else 1 << where.endpoint  # a bit mask
         self.on_link = entry.clock == "link"
-        self.matches_all = self._where == (None, None, None, None)
+        self.matches_all = self.where == (ANY, ANY, ANY, ANY)
         self.takes_bytes = entry.ids is None and getattr(entry.fault, "takes_bytes", False)
         self.takes_unknown = entry.ids is None and getattr(
             entry.fault, "takes_unknown", self.takes_bytes
@@ -225,30 +229,26 @@ class ActiveEntry:
         """Whether the frame matches the entry's `where`."""
         if self.matches_all:
             return True
-        system, component, way, instance = self._where
-        if system is not None and frame.system != system:
-            return False
-        if component is not None and frame.component != component:
-            return False
-        if way is not None and direction != way:
-            return False
-        return instance is None or self._instance(frame) == instance
+        instance = self._instance(frame) if self.where[3] >= 0 else ANY
+        sender = frame.system << 8 | frame.component
+        return is_selected(self.where, sender, WAYS.index(direction), instance)
 
     @staticmethod
-    def _instance(frame: Frame) -> object:
+    def _instance(frame: Frame) -> int:
         # Most messages without an instance field have an `id`.
         name = frame.layout.instance or "id"
-        return frame.read(name) if name in frame.layout.fields else 0
+        found = frame.read(name) if name in frame.layout.fields else 0
+        return found if isinstance(found, int) else ANY
 
     def matches_junk(self, data: bytes | Frame, direction: str, *, sealed: bool) -> bool:
         """Whether the fault acts on junk, or on a frame of an unknown message."""
-        system, component, way, instance = self._where
+        system, component, way, instance = self.where
         if isinstance(data, bytes):
             # They have no sender that a filter could match.
-            anything = (system, component, instance) == (None, None, None)
-            return self.takes_bytes and anything and way in (None, direction)
+            anything = system == component == instance == ANY
+            return self.takes_bytes and anything and way in (ANY, WAYS.index(direction))
         # The instance is in the payload, which cannot be read.
-        if not self.takes_unknown or instance is not None or not self.matches(data, direction):
+        if not self.takes_unknown or instance != ANY or not self.matches(data, direction):
             return False
         if sealed and not self.takes_sealed:
             self.note_sealed()

@@ -9,14 +9,13 @@ with the same schedule gives the same bytes.
 """
 
 import dataclasses
-import heapq
-import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 from mavproxy_fault.proxy.announcements import label_announcement
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
+from mavproxy_fault.proxy.delay_queue import LAST_DUE, DelayQueue
 from mavproxy_fault.proxy.interfaces import (
     NEVER_US,
     CommandResponder,
@@ -71,11 +70,12 @@ class LinkState:
 
 
 class Arrival(NamedTuple):
-    """Link, direction and wall time of received data."""
+    """Link, direction and wall time of received data, and the vehicle time of a frame if known."""
 
     link: int
     direction: Direction
     now_us: int
+    t_us: int | None = None
 
 
 class Core:
@@ -111,9 +111,8 @@ class Core:
         self._ended = [ParserCounters() for _ in links]
         self._resync_deadlines: dict[tuple[int, int], ResyncDeadline] = {}
         self._give_up_us: dict[tuple[int, int], int] = {}  # streams with an incomplete frame
-        self._pending: list[tuple[int, int, int, bytes]] = []  # due, order, links, bytes
-        self._order = itertools.count()
-        self.last_due_us = 0  # due time of the last send; no later send may precede it
+        self.waiting = DelayQueue()
+        self.release_delayed: Callable[[int], list[Send]] | None = None  # by machine code
         self._on_wall_clock = False
         self._doubted = 0  # timestamps, on all links
         self._numbers: dict[int, list[int]] = {}  # cache: link numbers by bit mask
@@ -134,26 +133,16 @@ class Core:
         *,
         stream: int = 0,
         direction: Direction | None = None,
+        begun: bool = False,
     ) -> list[Send]:
         """Process received bytes and return what to send; empty bytes end their stream.
 
-        `direction` overrides the link's, for a log with both directions.
+        `direction` overrides the link's, for a log with both directions. `begun` is true for the
+        rest of a datagram or chunk whose first frames have passed.
         """
         # Earlier due frames leave first, so the order depends only on timestamps. No incomplete
         # frame is abandoned here: the rest may be in the same batch of reads.
-        sends = self.release_due(now_us)
-        return sends + self.received_rest(link, data, now_us, stream=stream, direction=direction)
-
-    def received_rest(
-        self,
-        link: int,
-        data: bytes,
-        now_us: int,
-        *,
-        stream: int = 0,
-        direction: Direction | None = None,
-    ) -> list[Send]:
-        """Process the rest of a datagram or chunk whose first frames have passed."""
+        sends = [] if begun else self.release_due(now_us)
         role = self.links[link]
         key = (link, stream)
         parser = self._parsers.get(key)
@@ -170,7 +159,13 @@ class Core:
         if data and not role.datagrams:
             self._resync_deadlines.setdefault(key, ResyncDeadline()).note_arrival(len(data), now_us)
             self._wait_for_rest(key)
-        return self._process(items, Arrival(link, direction or role.direction, now_us))
+        return sends + self._process(items, Arrival(link, direction or role.direction, now_us))
+
+    def received_frame(self, link: int, frame: Frame, now_us: int, t_us: int | None) -> list[Send]:
+        """Process a frame that is verified already, and timed unless `t_us` is None."""
+        self._ended[link].bytes += len(frame.raw)
+        self._ended[link].frames += 1
+        return self._process((frame,), Arrival(link, self.links[link].direction, now_us, t_us))
 
     def due(self, now_us: int) -> list[Send]:
         """Return what is due by `now_us`, in order, and then abandoned incomplete frames."""
@@ -190,16 +185,16 @@ class Core:
     def release_due(self, now_us: int) -> list[Send]:
         """Release delayed frames that are due, in order."""
         sends: list[Send] = []
-        while self._pending or self.engine is not None:
-            engine_us = self._engine_due_us()
-            pending_us = self._pending[0][0] if self._pending else NEVER_US
-            if min(engine_us, pending_us) > now_us:
-                break
+        numbers = self.waiting.numbers
+        while (due_us := min(self._engine_due_us(), self.waiting.first_us)) <= now_us:
+            is_delayed = due_us == self.waiting.first_us
+            if is_delayed and not self.waiting.has_own and self.release_delayed is not None:
+                sends += self.release_delayed(now_us)
+                continue
             # After a time jump forward, a delayed frame could otherwise leave before it arrived.
-            when_us = max(min(engine_us, pending_us), self.last_due_us)
-            self.last_due_us = when_us
-            if pending_us <= engine_us:
-                _, _, mask, raw = heapq.heappop(self._pending)
+            numbers[LAST_DUE] = when_us = max(due_us, numbers[LAST_DUE])
+            if is_delayed:
+                mask, raw = self.waiting.release()
                 self._record(raw, when_us)
                 sends += self.to_links(mask, raw, when_us)
             else:
@@ -216,13 +211,13 @@ class Core:
     @property
     def next_due_us(self) -> int | None:
         """Wall time at which `due` has work to do; None if nothing is waiting."""
-        # The earliest of buffering faults, delayed frames and incomplete frames.
-        when_us = self._engine_due_us()
-        if self._pending:
-            when_us = min(when_us, self._pending[0][0])
-        if self._give_up_us:
-            when_us = min(when_us, *self._give_up_us.values())
+        when_us = min(self.own_due_us, self.waiting.first_us)
         return None if when_us >= NEVER_US else when_us
+
+    @property
+    def own_due_us(self) -> int:
+        """The same without delayed frames: of buffering faults and incomplete frames."""
+        return min(self._engine_due_us(), *self._give_up_us.values(), NEVER_US)
 
     def finish(self, now_us: int) -> list[Send]:
         """End every fault and return the last sends; frames delayed further stay unsent."""
@@ -278,7 +273,7 @@ class Core:
         if not self._admit(frame, arrival):
             state.loops += 1
             return
-        t_us = self._time(frame, arrival.now_us, state, batch)
+        t_us = self._time(frame, arrival, state, batch)
         sealed = frame.signed
         if sealed and self.signing is not None:
             frame, sealed = self.signing.verify_incoming(frame)
@@ -352,10 +347,10 @@ class Core:
             self.senders[VEHICLE_SYSTEM] = system
         return True
 
-    def _time(self, frame: Frame, now_us: int, state: LinkState, batch: OutgoingBatch) -> int:
-        senders = self.senders
+    def _time(self, frame: Frame, arrival: Arrival, state: LinkState, batch: OutgoingBatch) -> int:
+        senders, now_us = self.senders, arrival.now_us
         first_us = senders[T0]
-        t_us = self.clock.read(frame, now_us)
+        t_us = self.clock.read(frame, now_us) if arrival.t_us is None else arrival.t_us
         if senders[UNCONFIRMED] != self._doubted:
             self._doubted = senders[UNCONFIRMED]
             state.unconfirmed += 1
@@ -395,7 +390,11 @@ class Core:
         """Send or delay a frame returned by the engine; `origin` is the frame it processed."""
         frame = outgoing.frame
         raw = frame if isinstance(frame, bytes) else frame.raw
-        if origin is not None and frame is not origin and source_of(frame) != source_of(origin):
+        if (
+            origin is not None
+            and isinstance(frame, Frame)
+            and source_of(frame) != source_of(origin)
+        ):
             # A reply also goes to the link of its cause, whatever other links its sender has.
             mask = self._links_of_pending(frame) | (mask if outgoing.back else 0)
         if isinstance(frame, Frame) and frame.signed and frame is not origin and self.signing:
@@ -406,8 +405,8 @@ class Core:
         due_us = outgoing.due_us + self.senders[WALL_OFFSET]
         if due_us <= now_us:
             self._send_now(mask, raw, now_us, batch)
-        else:
-            self.hold(due_us, mask, raw)
+        elif mask:
+            self.waiting.hold(due_us, mask, raw)
 
     def _send_now(self, mask: int, raw: bytes, now_us: int, batch: OutgoingBatch) -> None:
         if mask:
@@ -438,10 +437,6 @@ class Core:
 
     def _sends(self, batch: OutgoingBatch, when_us: int) -> list[Send]:
         return [send for mask, data in batch for send in self.to_links(mask, data, when_us)]
-
-    def hold(self, due_us: int, mask: int, raw: bytes) -> None:
-        """Keep a frame until it is due."""
-        heapq.heappush(self._pending, (due_us, next(self._order), mask, raw))
 
     def announce_labels(self, now_us: int) -> list[Send]:
         """Return the announcements of the labels that the engine has begun or ended."""

@@ -97,6 +97,39 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
     return t_us
 
 
+def read_stamp(data: Sequence[int], payload: int, length: int, place: tuple[int, int, int]) -> int:
+    """Return a frame's timestamp in microseconds; 0 if it is missing or impossible.
+
+    The payload of `length` bytes starts at offset `payload` of `data`; `place` is the timestamp's
+    offset in it (-1 for none), its size, and microseconds per count.
+    """
+    at, size, scale = place
+    if at < 0:
+        return 0
+    count = 0
+    for n in range(min(size, length - at)):
+        count |= data[payload + at + n] << (8 * n)
+    # Eight bytes may make a negative number here, or one that is too large to be scaled.
+    stamp_us = count * scale if 0 <= count < MAX_STAMP_US else 0
+    return stamp_us if stamp_us < MAX_STAMP_US else 0
+
+
+def is_selected(
+    where: tuple[int, int, int, int], sender: int, from_vehicle: int, instance: int
+) -> bool:
+    """Return whether an entry's `where` selects a frame.
+
+    It is system, component, direction (1: from the vehicle) and instance, -1 for any.
+    """
+    system, component, way, number = where
+    return (
+        (system < 0 or system == sender >> 8)
+        and (component < 0 or component == sender & 0xFF)
+        and (way < 0 or way == from_vehicle)
+        and (number < 0 or number == instance)
+    )
+
+
 def follow_link(senders: Senders, clock: int, t_us: int, now_us: int) -> None:
     """Note the newest time of a clock for the link time, which follows the clock that is ahead."""
     ahead = t_us > senders[LINK_STAMP] + now_us - senders[LINK_STAMP_HEARD]

@@ -11,7 +11,7 @@ lockstep begins, PX4 stamps with the uptime of its host.
 from array import array
 from functools import cache
 
-from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US, UNIX_TIME_FROM_US, vehicle_time
+from mavproxy_fault.proxy.sender_rules import UNIX_TIME_FROM_US, read_stamp, vehicle_time
 from mavproxy_fault.proxy.senders import (
     CLOCK_OFFSET,
     NEWEST_TIME,
@@ -30,29 +30,20 @@ STAMP_FIELDS = {"time_usec": 1, "time_boot_ms": 1000, "usec": 1}  # microseconds
 
 
 @cache
-def stamp_location(name: str) -> tuple[int, int, int] | None:
-    """Return offset, size and microseconds per count of a message's timestamp, if it has one."""
+def stamp_location(name: str) -> tuple[int, int, int]:
+    """Return offset, size and microseconds per count of a message's timestamp; offset -1: none."""
     fields = message_layout(name).fields
     for field, scale in STAMP_FIELDS.items():
         # Microseconds in 32 bits (SERVO_OUTPUT_RAW) wrap every 72 minutes: unusable as a clock.
         if field in fields and not fields[field].extension and fields[field].size * scale >= 8:
             return fields[field].offset, fields[field].size, scale
-    return None
+    return -1, 0, 0
 
 
 def stamp_us(frame: Frame) -> int:
-    """Return a frame's timestamp in microseconds; 0 if it is missing or impossible.
-
-    `compiled.frames.stamp` does the same on an array of bytes.
-    """
+    """Return a frame's timestamp in microseconds; 0 if it is missing or impossible."""
     place = stamp_location(frame.layout.name)
-    if place is None:
-        return 0
-    offset, size, scale = place
-    start = frame.payload_at + offset
-    end = min(start + size, frame.payload_at + frame.length)
-    stamp = int.from_bytes(frame.raw[start:end], "little") * scale
-    return stamp if stamp < MAX_STAMP_US else 0
+    return read_stamp(frame.raw, frame.payload_at, frame.length, place)
 
 
 class VehicleClock:

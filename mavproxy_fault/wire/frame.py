@@ -119,12 +119,16 @@ class Frame:
 
     def with_payload(self, payload: bytes) -> "Frame":
         """Return this frame with another payload and updated length and CRC."""
-        raw = self.raw
-        head = bytes((raw[0], len(payload))) + raw[2 : self.payload_at]
-        crc = mcrf4xx(head[1:] + payload + bytes((self.layout.crc_extra,)))
+        raw, layout = self.raw, self.layout
+        body = bytes((len(payload),)) + raw[2 : self.payload_at] + payload
         # Unchanged; the holder of the key signs again.
         signature = raw[self.payload_at + self.length + 2 :]
-        return Frame(head + payload + struct.pack("<H", crc) + signature, self.layout)
+        return Frame(raw[:1] + body + checksum(body, layout.crc_extra) + signature, layout)
+
+
+def checksum(body: bytes, extra: int) -> bytes:
+    """Return the checksum of a frame: of all between start byte and checksum, and its CRC extra."""
+    return mcrf4xx(body + bytes((extra,))).to_bytes(2, "little")
 
 
 def build_frame(
@@ -176,7 +180,7 @@ def frame_payload(
     number = layout.id
     body = _HEAD.pack(len(payload), 0, 0, seq, system, component, number & 0xFFFF, number >> 16)
     body += payload
-    return _STX + body + mcrf4xx(body + bytes((layout.crc_extra,))).to_bytes(2, "little")
+    return _STX + body + checksum(body, layout.crc_extra)
 
 
 def _make_packing(layout: Layout) -> Packing:

@@ -49,6 +49,7 @@ def _access(bits: int) -> tuple[Any, Any]:
 
 
 load8, store8 = _access(8)
+load32, store32 = _access(32)
 load64, store64 = _access(64)
 
 

@@ -25,6 +25,7 @@ from mavproxy_fault.wire.frame import (
     STX_V1,
     STX_V2,
     Frame,
+    checksum,
 )
 
 CRC_LENGTH = 2
@@ -55,8 +56,7 @@ class Junk:
         place = frame_span(self.raw, 0)
         assert place is not None
         _, number, checked = place
-        crc = int.from_bytes(self.raw[checked : checked + CRC_LENGTH], "little")
-        extra = _crc_extra_of(self.raw[1:checked], crc)
+        extra = _crc_extra_of(self.raw[1:checked], self.raw[checked : checked + CRC_LENGTH])
         assert extra is not None
         return Frame(self.raw, unknown_layout(number, extra))
 
@@ -181,14 +181,13 @@ class Parser:
             known = self._layouts[number]
         else:
             known = self._layouts[number] = find_layout(number)
-        crc = data[at + checked] | data[at + checked + 1] << 8
-        body = data[at + 1 : at + checked]
+        crc, body = data[at + checked : at + checked + CRC_LENGTH], data[at + 1 : at + checked]
         if known is None:
             if _crc_extra_of(body, crc) is None or self._contains_frame(data, at, at + length):
                 return False
             self.counters.note_unknown(number)
             return Junk(data[at : at + length], "unknown")
-        if mcrf4xx(body + bytes((known.crc_extra,))) != crc:
+        if checksum(body, known.crc_extra) != crc:
             self.counters.crc_errors += 1
             return False
         raw = data[at : at + length]
@@ -240,11 +239,11 @@ def begins_with_frame(data: bytes) -> bool:
     return bool(data) and isinstance(next(iter(Parser().push(data, datagram=True))), Frame)
 
 
-def _crc_extra_of(body: bytes, crc: int) -> int | None:
+def _crc_extra_of(body: bytes, crc: bytes) -> int | None:
     """Return the CRC extra that gives this CRC; None if there is none."""
     # The last step processes the extra: shift the register and XOR one table entry.
     before = mcrf4xx(body)
-    index = CRC_TABLE_ENTRIES.get(crc ^ before >> 8)
+    index = CRC_TABLE_ENTRIES.get(int.from_bytes(crc, "little") ^ before >> 8)
     return None if index is None else index ^ before & 0xFF
 
 
@@ -258,8 +257,7 @@ def _find_frame_inside(data: bytes, start: int, end: int) -> tuple[int, int] | N
             continue
         known = find_layout(place[1])
         checked = at + place[2]
-        if known is not None and mcrf4xx(
-            data[at + 1 : checked] + bytes((known.crc_extra,))
-        ) == int.from_bytes(data[checked : checked + CRC_LENGTH], "little"):
+        sent = data[checked : checked + CRC_LENGTH]
+        if known is not None and checksum(data[at + 1 : checked], known.crc_extra) == sent:
             return at, at + place[0]
     return None

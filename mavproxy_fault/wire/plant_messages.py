@@ -11,6 +11,7 @@ in a schedule, plus `pseudorange_m[G12]` (metres) and `satellite_lost[G12]` for 
 """
 
 import math
+from functools import lru_cache
 
 import msgspec
 
@@ -29,6 +30,7 @@ class PlantChange(msgspec.Struct, frozen=True):
     value: float | None
 
 
+@lru_cache(256)  # it is repeated while a fault lasts
 def plant_frame(
     change: PlantChange,
     target: tuple[int, int] = SIMULATOR,

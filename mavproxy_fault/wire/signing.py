@@ -13,10 +13,8 @@ import hashlib
 from array import array
 from collections.abc import MutableSequence
 
-from fastcrc.crc16 import mcrf4xx
-
 from mavproxy_fault.wire.dialect import message_layout
-from mavproxy_fault.wire.frame import SIGNATURE_LENGTH, SIGNED, STX_V2, Frame
+from mavproxy_fault.wire.frame import SIGNATURE_LENGTH, SIGNED, STX_V2, Frame, checksum
 
 DIGEST_LENGTH = 6
 KEY_LENGTH = 32
@@ -84,16 +82,15 @@ def resign_frame(frame: Frame, key: bytes) -> Frame:
 def sign_frame(frame: Frame, key: bytes, link_id: int, stamp: int) -> Frame:
     """Sign an unsigned MAVLink 2 frame; `stamp` is in units of 10 us since 2015-01-01."""
     raw = frame.raw[:2] + bytes((frame.raw[2] | SIGNED,)) + frame.raw[3:-2]
-    crc = mcrf4xx(raw[1:] + bytes((frame.layout.crc_extra,)))
-    raw += crc.to_bytes(2, "little") + bytes((link_id,)) + stamp.to_bytes(6, "little")
+    raw += checksum(raw[1:], frame.layout.crc_extra)
+    raw += bytes((link_id,)) + stamp.to_bytes(6, "little")
     return Frame(raw + _digest(key, raw + bytes(DIGEST_LENGTH)), frame.layout)
 
 
 def strip_signature(frame: Frame) -> Frame:
     """Remove a frame's signature: clear the flag, drop 13 bytes, recompute the CRC."""
     raw = frame.raw[:2] + bytes((frame.raw[2] & ~SIGNED,)) + frame.raw[3 : -SIGNATURE_LENGTH - 2]
-    crc = mcrf4xx(raw[1:] + bytes((frame.layout.crc_extra,)))
-    return Frame(raw + crc.to_bytes(2, "little"), frame.layout)
+    return Frame(raw + checksum(raw[1:], frame.layout.crc_extra), frame.layout)
 
 
 def mask_signing_keys(raw: bytes) -> bytes:
@@ -112,17 +109,13 @@ def mask_signing_keys(raw: bytes) -> bytes:
             last = end if at == 7 else len(raw)
             masked[start + KEY_AT : last] = bytes(max(last - start - KEY_AT, 0))
             if at == 7 and end + CRC_LENGTH <= len(raw):
-                sent = int.from_bytes(raw[end : end + CRC_LENGTH], "little")
-                wrong = 0 if sent == _setup_crc(raw[1:end]) else 0xFFFF
-                crc = _setup_crc(masked[1:end]) ^ wrong
-                masked[end : end + CRC_LENGTH] = crc.to_bytes(CRC_LENGTH, "little")
+                extra = message_layout("SETUP_SIGNING").crc_extra
+                crc, right = checksum(bytes(masked[1:end]), extra), checksum(raw[1:end], extra)
+                if raw[end : end + CRC_LENGTH] != right:
+                    crc = bytes(byte ^ 0xFF for byte in crc)
+                masked[end : end + CRC_LENGTH] = crc
         at = raw.find(_SETUP_SIGNING, at + 1)
     return bytes(masked)
-
-
-def _setup_crc(checked: bytes | bytearray) -> int:
-    extra = message_layout("SETUP_SIGNING").crc_extra
-    return mcrf4xx(bytes(checked) + bytes((extra,)))
 
 
 class Signing:

@@ -25,7 +25,7 @@ import pytest
 from mavproxy_fault.compiled.object_file import Forward, load, make
 from mavproxy_fault.compiled.passage import Passage
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links.datagrams import IS_LINUX
+from mavproxy_fault.links.udp import IS_LINUX
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine

@@ -19,7 +19,7 @@ from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.app.replaying.playback import split_records
 from mavproxy_fault.compiled import object_file as machine
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.links import datagrams
+from mavproxy_fault.links import udp as udp_links
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link
@@ -138,45 +138,6 @@ def test_two_vehicles_and_two_stations_share_one_proxy() -> None:
             two.sendto(heartbeat(1, 2), address(master))
             assert station.recv(999) == heartbeat(1, 2), "the answer was for the other one"
             assert other.recv(999) == answer
-
-
-@pytest.mark.parametrize("compiled", [False, True], ids=["interpreted", "compiled_kernels"])
-def test_chunks_that_arrive_together_are_sent_together_to_peers_of_a_server(
-    compiled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(server_module, "BATCH_NS", 10**10)
-    master, outlet = open_link("udpin:127.0.0.1:0"), TcpServer("127.0.0.1", 0)
-    together: list[int] = []
-
-    def write_all(chunks: list[bytes]) -> None:
-        together.append(len(chunks))
-        TcpServer.write_all(outlet, chunks)
-
-    monkeypatch.setattr(outlet, "write_all", write_all)
-    running = server_module.Server([master, outlet], Core(proxy.link_roles([master, outlet])))
-    if compiled:
-        machine.make()
-        running.use_compiled()
-    frames = [heartbeat(seq) for seq in range(20)]
-    with (
-        udp() as vehicle,
-        socket.create_connection(address(outlet), timeout=10) as peer,
-        socket.create_connection(address(outlet), timeout=10),
-    ):
-        while outlet.peer_count < 2:
-            outlet.read()
-        for frame in frames:
-            vehicle.sendto(frame, address(master))
-        peer.setblocking(False)
-        came = b""
-        while len(came) < len(b"".join(frames)):
-            running._step()
-            with contextlib.suppress(BlockingIOError):
-                came += peer.recv(9999)
-    assert came == b"".join(frames)
-    assert together == [20]
-    master.close()
-    outlet.close()
 
 
 @pytest.mark.parametrize("turn", ["_step", "_run_due"])
@@ -394,8 +355,8 @@ for name, kind in known_faults().items():
         continue
     tape = CaptureBuffer()
     core = Core([LinkRole("a", "to-vehicle"), LinkRole("b", "from-vehicle")], engine, tape=tape)
-    machine, left, take = CompiledCore(core, 0, tape), [], core.received
-    core.received = lambda *args, **keys: left.append(1) or take(*args, **keys)
+    machine, left, take = CompiledCore(core, 0, tape), [], core._process
+    core._process = lambda *args: left.append(1) or take(*args)
     for n in range(100):
         values = {"time_usec": 1_000_000 + 10_000 * n, "fields_updated": 63}
         frame = build_frame(message_layout("HIL_SENSOR"), values, seq=n, system=1, component=1)
@@ -422,7 +383,7 @@ def test_a_fault_without_random_numbers_never_imports_numpy() -> None:
 def test_without_linux_system_calls_the_interpreted_path_is_used(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(datagrams, "IS_LINUX", False)
+    monkeypatch.setattr(udp_links, "IS_LINUX", False)
     monkeypatch.setattr(server_module.ctypes, "CDLL", lambda name: object())
     master = open_link("udpin:127.0.0.1:0")
     with udp() as station, udp() as vehicle:

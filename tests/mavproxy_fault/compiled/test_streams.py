@@ -78,7 +78,7 @@ def test_whole_frames_never_reach_the_core(pair: Pair, monkeypatch: pytest.Monke
     pair.vehicle.send(first)
     assert pair.arrived(len(first)) == first
     with monkeypatch.context() as meanwhile:
-        meanwhile.setattr(pair.core, "received_rest", None)  # it would fail
+        meanwhile.setattr(pair.core, "_process", None)  # it would fail
         for one in rest:
             pair.vehicle.send(one)
         assert pair.arrived(sum(map(len, rest))) == b"".join(rest)

@@ -80,6 +80,8 @@ LINK_FAULTS: list[dict[str, Any]] = [
     {"fault": "jitter", "value": 1, "distribution": "samples", "samples": [0.01, 0, 0.03]},
     {"fault": "duplicate", "copies": 2}, {"fault": "duplicate", "value": 0.3, "by_s": 0.02},
     {"fault": "sequence-gap", "value": 0.3}, {"fault": "truncate", "value": 0.5},
+    {"fault": "truncate", "count": 90}, {"fault": "corrupt", "value": 0.6, "count": 3},
+    {"fault": "corrupt", "count": 200, "crc": "redone"},
     {"fault": "time-jump", "value": -2}, {"fault": "time-drift", "value": 0.3},
 ]  # fmt: skip
 VALUE_FAULTS: list[dict[str, Any]] = [
@@ -91,6 +93,7 @@ VALUE_FAULTS: list[dict[str, Any]] = [
     {"fault": "saturate"}, {"fault": "dead-band"}, {"fault": "sine", "frequency_hz": 3},
     {"fault": "impulse", "period_s": 0.2, "width_s": 0.05},
     {"fault": "cycle", "period_s": 0.05}, {"fault": "bit-flip", "value": 2},
+    {"fault": "bit-flip", "bit": 23},
     {"fault": "lag", "value": 0.03},
 ]  # fmt: skip
 POSITIVE = {"noise", "random-walk", "slew-limit", "saturate", "dead-band"}
@@ -113,7 +116,7 @@ def entries(draw: st.DrawFn) -> dict[str, Any]:
         kind, value = entry["fault"], draw(numbers)
         if kind in ("bias", "scale", "constant") and draw(st.booleans()):
             entry["profile"] = draw(profiles())
-        elif kind not in FIXED:
+        elif kind not in FIXED and kind != "bit-flip":
             entry.setdefault("value", abs(value) if kind in POSITIVE else value)
     if draw(st.booleans()):
         entry["for_s"] = draw(seconds) + 0.01
@@ -253,7 +256,7 @@ def new_core(
 class Outcome(NamedTuple):
     """What one way made of the traffic: what left, the labels, and all that is remembered."""
 
-    sent: list[bytes]
+    sent: bytes
     labels: list[bytes]
     states: list[LinkState]
     senders: "array[int]"
@@ -303,11 +306,12 @@ def compiled(
 
 def finished(core: Core, sent: list[bytes], now_us: int) -> Outcome:
     """What is left after the last datagram, with all delayed frames."""
-    sent.append(b"".join(send.data for send in core.due(now_us + 10_000_000)))
+    # As one: machine code may send a delayed frame before the core would, but in the same order.
+    data = b"".join([*sent, *(send.data for send in core.due(now_us + 10_000_000))])
     core.finish(now_us + 10_000_000)
     streams = core.signing and core.signing.verifier.streams
     labels = [msgspec.json.encode(label) for label in core.drain_labels()]
-    return Outcome(sent, labels, core.states, core.senders, streams)
+    return Outcome(data, labels, core.states, core.senders, streams)
 
 
 def interpreted(

@@ -121,21 +121,6 @@ def test_a_peer_that_does_not_read_stalls_no_other_and_gets_complete_chunks(
     assert bytes(received) == chunk * (sent - 5)
 
 
-def test_several_chunks_leave_together_and_are_counted_one_by_one(server: TcpServer) -> None:
-    chunks = [b"one", b"two", b"three"]
-    server.write_all(chunks)
-    assert server.counters.drops == 3
-    with connect(server) as one, connect(server) as two:
-        server.write_all(chunks)
-        assert one.recv(99) == two.recv(99) == b"onetwothree"
-        assert server.counters.chunks_out == 6
-        # Data that would be dropped as one if it did not fit are sent one by one.
-        large = [bytes(tcp.MAX_JOINED_BYTES)] * (QUEUE_LIMIT // tcp.MAX_JOINED_BYTES * 100)
-        server.write_all(large)
-        assert server.counters.chunks_out > 6 + 2 * QUEUE_LIMIT // tcp.MAX_JOINED_BYTES
-        assert 3 < server.counters.drops < 3 + 2 * len(large)
-
-
 def test_a_client_connects_when_its_server_appears(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stream, "REOPEN_S", 0.0)
     with socket.create_server(("127.0.0.1", 0)) as place:

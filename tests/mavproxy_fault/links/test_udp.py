@@ -58,17 +58,17 @@ def test_a_server_without_peers_counts_what_it_drops(server: UdpServer) -> None:
 
 
 def test_a_server_drops_silent_peers_but_never_the_latest(server: UdpServer) -> None:
-    server.register(b"old", b"", 0.0)
-    server.register(b"newer", b"", 1.0)
-    server.register(b"new", b"", PEER_EXPIRY_S + 0.5)
+    server.peers.register(b"old", b"", 0.0)
+    server.peers.register(b"newer", b"", 1.0)
+    server.peers.register(b"new", b"", PEER_EXPIRY_S + 0.5)
     assert list(server.peers.by_address) == [b"newer", b"new"]
-    server.register(b"late", b"", 10 * PEER_EXPIRY_S)
+    server.peers.register(b"late", b"", 10 * PEER_EXPIRY_S)
     assert list(server.peers.by_address) == [b"new", b"late"]
 
 
 def test_a_server_keeps_a_bounded_number_of_peers(server: UdpServer) -> None:
     for number in range(2 * MAX_PEERS):
-        server.register(b"%d" % number, b"", float(number) / 1000)
+        server.peers.register(b"%d" % number, b"", float(number) / 1000)
     assert list(server.peers.by_address) == [b"%d" % n for n in range(MAX_PEERS, 2 * MAX_PEERS)]
 
 
