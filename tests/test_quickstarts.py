@@ -13,6 +13,7 @@ import subprocess
 import sys
 import venv
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -72,11 +73,14 @@ def blocks_of(page: Path) -> list[Block]:
 def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """An environment for packages of the pages, with our installation below it."""
     folder = tmp_path_factory.mktemp("environment")
-    venv.create(folder, with_pip=True)
+    # To install another pip takes seconds.
+    venv.create(folder, with_pip=find_spec("pip") is None)
     (site,) = folder.glob("lib/python*/site-packages")
     (site / "below.pth").write_text("\n".join(p for p in sys.path if p.endswith("site-packages")))
     here = folder / "bin"
-    for name, module in (("mavproxy-fault", "mavproxy_fault.cli"), ("pytest", "pytest")):
+    modules = {"mavproxy-fault": "mavproxy_fault.cli", "pytest": "pytest", "pip": "pip"}
+    for name, module in modules.items():
+        (here / name).unlink(missing_ok=True)
         (here / name).write_text(f'#!/bin/sh\nexec {here}/python -P -m {module} "$@"\n')
         (here / name).chmod(0o755)
     (here / "mavproxy.py").symlink_to(Path(sys.executable).with_name("mavproxy.py"))

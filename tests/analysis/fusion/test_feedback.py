@@ -10,6 +10,7 @@ from analysis.fusion.feedback import feed_back
 from analysis.monitor.filter_step import WITHOUT_ISOLATION
 from analysis.monitor.pipeline import FILTER, Pipeline, monitor_config
 from analysis.results import Decision, FusedState
+from analysis.samples.block import block_of
 from analysis.samples.sample import Epoch
 
 FAULT_US = 6_000_000
@@ -19,7 +20,7 @@ def pushed(samples, **settings):
     """The pipeline after a flight, and its results."""
     config = monitor_config({"fusion": settings, "attitude": {"estimators": []}}, "x")
     pipeline = Pipeline(config)
-    return pipeline, [result for sample in samples for result in pipeline.push(sample)]
+    return pipeline, pipeline.push(block_of(samples))
 
 
 def decisions(results):

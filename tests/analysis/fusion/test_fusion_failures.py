@@ -10,6 +10,7 @@ from analysis.fusion.graph import Graph
 from analysis.fusion.window import FactorWindow, variable_key
 from analysis.monitor.pipeline import Pipeline, monitor_config
 from analysis.results import Decision, FusedState
+from analysis.samples.block import block_of
 
 FAILS_US = 5_000_000
 
@@ -45,7 +46,7 @@ def far_off(graph):
 def results_of(samples):
     """All results of a fused flight."""
     pipeline = Pipeline(monitor_config({"fusion": {}, "attitude": {"estimators": []}}, "x"))
-    return [result for sample in samples for result in pipeline.push(sample)]
+    return pipeline.push(block_of(samples))
 
 
 @pytest.fixture(scope="module")

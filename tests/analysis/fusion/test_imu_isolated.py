@@ -7,6 +7,7 @@ import pytest
 
 from analysis.monitor.pipeline import FILTER, Pipeline, monitor_config
 from analysis.results import FusedState
+from analysis.samples.block import block_of
 from analysis.samples.sample import ImuSample
 
 FROM_US, UNTIL_US = 7_000_000, 8_000_000
@@ -16,11 +17,12 @@ FROM_US, UNTIL_US = 7_000_000, 8_000_000
 def flown(flights):
     """The fused states with an accelerometer that is 8 m/s^2 off for a second, and the graph."""
     pipeline = Pipeline(monitor_config({"fusion": {}, "attitude": {"estimators": []}}, "x"))
-    states = []
-    for sample in flights(9.0):
+    samples = flights(9.0)
+    for i, sample in enumerate(samples):
         if isinstance(sample, ImuSample) and FROM_US < sample.t_us <= UNTIL_US:
-            sample = replace(sample, accel_b_mps2=sample.accel_b_mps2 + np.array([8.0, 0.0, 0.0]))
-        states += [r for r in pipeline.push(sample) if isinstance(r, FusedState)]
+            accel_b_mps2 = sample.accel_b_mps2 + np.array([8.0, 0.0, 0.0])
+            samples[i] = replace(sample, accel_b_mps2=accel_b_mps2)
+    states = [r for r in pipeline.push(block_of(samples)) if isinstance(r, FusedState)]
     return states, pipeline.states[FILTER][1][0].graph
 
 

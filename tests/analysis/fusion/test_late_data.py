@@ -7,17 +7,20 @@ import pytest
 
 from analysis.monitor.pipeline import FILTER, Pipeline, monitor_config
 from analysis.results import FusedState
+from analysis.samples.block import block_of
 from analysis.samples.sample import BaroSample, Epoch, ImuSample
 
 LATE_US = 6_000_000
 ARRIVES_US = 6_400_000
 
 
-def fused(samples, **settings):
-    """The fused states of a flight, and the pipeline's newest graph."""
+def fused(samples, one_by_one=False, **settings):
+    """The fused states of a flight, and the pipeline's newest graph; samples in one block, or each
+    when it comes."""
     config = monitor_config({"fusion": settings, "attitude": {"estimators": []}}, "x")
     pipeline = Pipeline(config)
-    states = [r for s in samples for r in pipeline.push(s) if isinstance(r, FusedState)]
+    blocks = samples if one_by_one else [block_of(samples)]
+    states = [r for block in blocks for r in pipeline.push(block) if isinstance(r, FusedState)]
     return states, pipeline.states[FILTER][1][0].graph
 
 
@@ -85,7 +88,7 @@ def test_an_epoch_from_before_the_window_is_left_out(short):
 def test_imu_samples_that_come_late_take_the_place_of_the_motion_model(flights):
     samples = flights(10.0)
     hold = [s for s in samples if isinstance(s, ImuSample) and 8_010_000 < s.t_us <= 8_390_000]
-    late, graph = fused(moved(samples, hold, 8_600_000))
+    late, graph = fused(moved(samples, hold, 8_600_000), one_by_one=True)
     assert all(s.weights["imu"] == 0.0 for s in late if s.t_us in (8_200_000, 8_400_000))
     edges = {e.t_us: e.edge for e in graph.epochs.values() if e.edge is not None}
     assert all(edges[t_us].uses_imu(0.02) for t_us in (8_200_000, 8_400_000))

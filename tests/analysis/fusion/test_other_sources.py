@@ -12,6 +12,7 @@ from analysis.fusion.local_frame import frame_at
 from analysis.fusion.window import variable_key
 from analysis.monitor.pipeline import FILTER, Pipeline, monitor_config
 from analysis.results import FusedState
+from analysis.samples.block import block_of
 from analysis.samples.sample import (
     AirspeedSample,
     BaroSample,
@@ -70,7 +71,7 @@ def flown(samples, **settings):
     """The fused states of a flight, and the newest graph."""
     values = {"fusion": settings, "attitude": {"estimators": []}}
     pipeline = Pipeline(monitor_config(values, "x"))
-    states = [r for s in samples for r in pipeline.push(s) if isinstance(r, FusedState)]
+    states = [r for r in pipeline.push(block_of(samples)) if isinstance(r, FusedState)]
     return states, pipeline.states[FILTER][1][0].graph
 
 

@@ -157,29 +157,59 @@ def address(loop: Loop) -> Iterator[str]:
         yield found
 
 
+def open_with_complaints(browser: Any, address: str) -> Any:
+    """Open an address in a page that notes in `complaints` what the browser finds wrong."""
+    found = browser.new_page(viewport={"width": 1360, "height": 900})
+    found.set_default_timeout(200_000)  # kernels may have to be compiled first
+    complaints: list[str] = []
+    found.on("console", lambda said: said.type == "error" and complaints.append(said.text))
+    found.on("pageerror", lambda error: complaints.append(str(error)))
+    found.complaints = complaints
+    found.goto(address)
+    wait_until_ready(found)
+    return found
+
+
+def wait_until_ready(page: Any) -> None:
+    """Wait for the stream subscribed last: what is published from now on is heard on all."""
+    page.wait_for_selector("#connection.there")
+    page.wait_for_selector("#links-title:not([hidden])")
+    page.wait_for_selector("#kind option", state="attached")
+
+
 @pytest.fixture
 def open_page(browser: Any) -> Iterator[Callable[[str], Any]]:
-    """Opens an address in a page that notes in `complaints` what the browser finds wrong."""
+    """Opens addresses as `open_with_complaints`, and closes the pages."""
     opened: list[Any] = []
 
     def show(address: str) -> Any:
-        found = browser.new_page(viewport={"width": 1360, "height": 900})
-        opened.append(found)
-        found.set_default_timeout(200_000)  # kernels may have to be compiled first
-        complaints: list[str] = []
-        found.on("console", lambda said: said.type == "error" and complaints.append(said.text))
-        found.on("pageerror", lambda error: complaints.append(str(error)))
-        found.complaints = complaints
-        found.goto(address)
-        found.wait_for_selector("#connection.there")
-        # The stream subscribed last has come: what is published from now on is heard on all.
-        found.wait_for_selector("#links-title:not([hidden])")
-        found.wait_for_selector("#kind option", state="attached")
-        return found
+        opened.append(open_with_complaints(browser, address))
+        return opened[-1]
 
     yield show
     for found in opened:
         found.close()
+
+
+@pytest.fixture(scope="module")
+def shared_page(browser: Any) -> Iterator[Any]:
+    """A page over a proxy whose vehicle stands still in time."""
+    running = Loop()
+    with serve_page(running.bus.url, port=0) as address:
+        found = open_with_complaints(browser, address)
+        running.steps_left = 0
+        yield found
+        found.close()
+    running.close()
+
+
+@pytest.fixture
+def still_page(shared_page: Any) -> Any:
+    """The page that tests share which only call its own functions, loaded anew for each."""
+    shared_page.complaints.clear()
+    shared_page.reload()
+    wait_until_ready(shared_page)
+    return shared_page
 
 
 @pytest.fixture

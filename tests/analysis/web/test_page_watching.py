@@ -133,8 +133,8 @@ def test_a_narrow_screen_shows_all_without_scrolling_sideways(page: Any, loop: A
     assert page.evaluate("document.documentElement.scrollWidth") <= 380
 
 
-def test_a_table_that_scrolls_sideways_can_be_reached_by_keys(page: Any) -> None:
-    tables = page.locator(".wide").all()
+def test_a_table_that_scrolls_sideways_can_be_reached_by_keys(still_page: Any) -> None:
+    tables = still_page.locator(".wide").all()
     assert len(tables) == 2
     for table in tables:
         table.focus()
@@ -151,9 +151,9 @@ GAPS = """() => {
 }"""
 
 
-def test_a_curve_is_interrupted_where_its_sensor_was_not_tested(page: Any) -> None:
+def test_a_curve_is_interrupted_where_its_sensor_was_not_tested(still_page: Any) -> None:
     # A sample that only the other curve has is no interruption; half a minute without any is.
-    assert page.evaluate(GAPS) == [1, 1]
+    assert still_page.evaluate(GAPS) == [1, 1]
 
 
 SPIKE = """() => {
@@ -165,8 +165,8 @@ SPIKE = """() => {
 }"""
 
 
-def test_of_ten_minutes_a_spike_of_one_sample_is_drawn(page: Any) -> None:
-    seen, count, in_order = page.evaluate(SPIKE)
+def test_of_ten_minutes_a_spike_of_one_sample_is_drawn(still_page: Any) -> None:
+    seen, count, in_order = still_page.evaluate(SPIKE)
     assert seen
     assert count <= 2 * 401  # of each bin the least and the greatest
     assert in_order
@@ -186,9 +186,9 @@ ISOLATED = """() => {
 }"""
 
 
-def test_the_curve_of_an_isolated_sensor_goes_on_dashed(page: Any) -> None:
+def test_the_curve_of_an_isolated_sensor_goes_on_dashed(still_page: Any) -> None:
     # Also where there is nothing to test, as of a sensor that is silent.
-    assert page.evaluate(ISOLATED) == [
+    assert still_page.evaluate(ISOLATED) == [
         ["magnetometer", [0.5, 2, 0.4], None],
         ["magnetometer, isolated", [2, 2, 2], 2],
     ]
@@ -301,9 +301,8 @@ INTERVALS = """() => {
 }"""
 
 
-def test_each_sensor_has_the_interval_of_its_own_decisions(page: Any, loop: Any) -> None:
-    loop.steps_left = 0
-    said, ended = page.evaluate(INTERVALS)
+def test_each_sensor_has_the_interval_of_its_own_decisions(still_page: Any) -> None:
+    said, ended = still_page.evaluate(INTERVALS)
     both = "⚠ fault in magnetometer, IMU"
     assert said == [
         "⚠ fault in IMU", "⚠ fault in IMU", "✓ no fault found", both, "⚠ fault in IMU",
@@ -339,10 +338,9 @@ STREAMS = """() => {
 
 
 def test_an_interval_is_that_of_the_isolation_and_ends_with_its_own_fault(
-    page: Any, loop: Any
+    still_page: Any,
 ) -> None:
-    loop.steps_left = 0
-    assert page.evaluate(STREAMS) == [
+    assert still_page.evaluate(STREAMS) == [
         "isolation ended: fault in barometer from 46.4 to 65.2 s; ramp ended at 55.0 s",
         "alarm ended: fault in magnetometer from 71.0 to 71.2 s; "
         "it is consistent with the others again",

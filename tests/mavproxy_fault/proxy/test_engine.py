@@ -388,7 +388,7 @@ def loading_s(count: int) -> float:
     engine.start_at(0)
     engine.advance_time(10**9)
     times = []
-    for number in range(5):
+    for number in range(3):
         schedule = parse_schedule(
             "faults:\n" + "".join(
                 f"  - {{id: s{number}-{n}, fault: bias, target: ATTITUDE.roll, value: 1, "
