@@ -47,8 +47,11 @@ class Verdicts {
   // Tests have a statistic and report until they pass; stream monitors report only while something is wrong.
   addSensor(decision) {
     const { sensor, t_us, statistic, alarm, isolated } = decision, part = NAMES[sensor] || sensor;
+    const tested = statistic !== null, bad = alarm || isolated;
+    this.came_us = Math.max(this.came_us, t_us);
+    if (!tested && !bad) return; // without a reference nothing was found, and no isolation ends
     this.sensors.set(sensor, decision);
-    this.waiting.push({ detector: sensor, parts: alarm || isolated ? [part] : [], t_us, tested: statistic !== null, isolated });
+    this.waiting.push({ detector: sensor, parts: bad ? [part] : [], t_us, tested, isolated });
   }
   // A detector finds these parts faulty, and no others.
   find({ detector, parts, t_us, tested, isolated }) {
@@ -67,6 +70,7 @@ class Verdicts {
   isBad(sensor) { return this.isolations.get(NAMES[sensor] || sensor)?.by.has(sensor) ?? false; }
   stateOf(sensor) {
     const decision = this.sensors.get(sensor);
+    if (!decision) return "not tested";
     if (this.isBad(sensor)) return describeState(decision);
     return !decision.alarm && !decision.isolated && this.isCurrent(decision.t_us) ? "consistent" : "no fault found now";
   }
