@@ -48,6 +48,8 @@ class Publisher:
         match result:
             case Decision():
                 verdict: tuple[object, ...] = (result.alarm, result.hypothesis, result.excluded)
+            case SensorDecision(statistic=None, alarm=False, isolated=False):
+                return False  # not tested
             case SensorDecision():
                 verdict = (result.alarm, result.isolated)
                 key += "" if result.dof else "/stream"  # its samples have a verdict of their own

@@ -1,9 +1,9 @@
 """Flights, campaigns, searches and reports from Python: start the command, read what it wrote.
 
 Each runs in a process of its own, so it may be called from any thread, and its workers never
-import the caller's module. A dictionary in the place of a file is written to the output folder,
-relative to which its own file names then are. `out` is that folder, by default a new temporary
-one; a campaign or a search continues in the folder of an earlier one.
+import the caller's module. A dictionary in the place of a file is written to the output folder;
+its own file names are relative to the working directory. `out` is that folder, by default a new
+temporary one; a campaign or a search continues in the folder of an earlier one.
 
 A ConfigError says what is wrong with the input, a RuntimeError what a command without a result
 said.
@@ -135,16 +135,8 @@ def _call(
                 arguments.append(f"--{name}={_file_name(name, each, folder)}")
     # The same interpreter, so the same environment and packages; -P keeps files of the working
     # directory, such as an `analysis.py`, from being taken for packages.
-    line = [
-        sys.executable,
-        "-P",
-        "-m",
-        "mavproxy_fault.cli",
-        command,
-        *arguments,
-        "--out",
-        str(folder),
-    ]
+    module = [sys.executable, "-P", "-m", "mavproxy_fault.cli"]
+    line = [*module, command, *arguments, "--out", str(folder)]
     done = subprocess.run(line, capture_output=True, text=True, check=False)
     if done.returncode == WRONG_INPUT:
         # Without the prefix of the command, since the exception has its own.
@@ -165,5 +157,15 @@ def _file_name(name: str, given: object, folder: Path) -> str:
     if not isinstance(given, dict):
         return str(given)
     path = folder / f"{name}.yaml"
-    path.write_text(yaml.safe_dump(given, sort_keys=False))
+    path.write_text(yaml.safe_dump(_find_files(given), sort_keys=False))
     return str(path)
+
+
+def _find_files(value: Any) -> Any:
+    """Make the names of files in a document absolute, as the document lies elsewhere."""
+    if isinstance(value, dict):
+        return {key: _find_files(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_find_files(one) for one in value]
+    is_file = isinstance(value, str) and "." in value and Path(value).is_file()
+    return str(Path(value).absolute()) if is_file else value

@@ -414,6 +414,8 @@ class Engine:
         """
         chosen = [running for running in self._all if running.entry.id == id]
         if not chosen:
+            if id in self.ids():
+                raise ConfigError(f"update: {id} waits for the vehicle's first timestamp")
             raise ConfigError(f"update: {id} is not a fault; {suggest_known(id, self.ids())}")
         chosen[0].set_value(value, self._now(chosen[0]), latency_us)
         self._update_wanted()

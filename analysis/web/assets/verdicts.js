@@ -47,8 +47,11 @@ class Verdicts {
   // Tests have a statistic and report until they pass; stream monitors report only while something is wrong.
   addSensor(decision) {
     const { sensor, t_us, statistic, alarm, isolated } = decision, part = NAMES[sensor] || sensor;
+    const tested = statistic !== null, bad = alarm || isolated;
+    this.came_us = Math.max(this.came_us, t_us);
+    if (!tested && !bad) return; // without a reference nothing was found, and no isolation ends
     this.sensors.set(sensor, decision);
-    this.waiting.push({ detector: sensor, parts: alarm || isolated ? [part] : [], t_us, tested: statistic !== null, isolated });
+    this.waiting.push({ detector: sensor, parts: bad ? [part] : [], t_us, tested, isolated });
   }
   // A detector finds these parts faulty, and no others.
   find({ detector, parts, t_us, tested, isolated }) {
@@ -57,6 +60,7 @@ class Verdicts {
       if (!this.isolations.has(part)) this.isolations.set(part, { from_us: t_us, isolated_us: null, by: new Map() });
       const found = this.isolations.get(part);
       if (isolated) found.isolated_us ??= t_us;
+      found.last_us = t_us;
       found.by.set(detector, { t_us, tested: tested || found.by.get(detector)?.tested });
     }
     const over = [...this.isolations].filter(([part, { by }]) => !parts.includes(part) && by.delete(detector) && !by.size);
@@ -67,6 +71,7 @@ class Verdicts {
   isBad(sensor) { return this.isolations.get(NAMES[sensor] || sensor)?.by.has(sensor) ?? false; }
   stateOf(sensor) {
     const decision = this.sensors.get(sensor);
+    if (!decision) return "not tested";
     if (this.isBad(sensor)) return describeState(decision);
     return !decision.alarm && !decision.isolated && this.isCurrent(decision.t_us) ? "consistent" : "no fault found now";
   }
@@ -105,10 +110,11 @@ class Verdicts {
   end(over, t_us, reason) {
     const since = ([, { from_us, isolated_us }]) => isolated_us ?? from_us;
     for (const [from_us, entries] of Map.groupBy(over, since)) {
-      const parts = entries.map(([part]) => part), [from_s, to_s] = [from_us, t_us].map((one_us) => store.seconds(one_us));
+      const parts = entries.map(([part]) => part), last_us = Math.max(...entries.map(([, found]) => found.last_us));
+      const [from_s, last_s, to_s] = [from_us, last_us, t_us].map((one_us) => store.seconds(one_us));
       for (const part of parts) this.isolations.delete(part);
       const what = entries.some(([, { isolated_us }]) => isolated_us !== null) ? "isolation" : "alarm";
-      this.ended = `${describeFault(parts)} from ${from_s.toFixed(1)} to ${to_s.toFixed(1)} s; ${this.endedFault(from_s, to_s) || reason}`;
+      this.ended = `${describeFault(parts)} from ${from_s.toFixed(1)} to ${last_s.toFixed(1)} s; ${this.endedFault(from_s, to_s) || reason}`;
       addEvent(t_us, `${what} ended: ${this.ended}`, "done");
     }
   }

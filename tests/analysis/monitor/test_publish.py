@@ -38,6 +38,17 @@ def test_every_decision_is_published_and_only_changes_are_events() -> None:
     assert events == [decisions[0], decisions[2]]
 
 
+def test_a_sensor_that_cannot_be_tested_between_alarms_is_no_event() -> None:
+    alarm = SensorDecision(t_us=1, sensor="mag", alarm=True, isolated=True)
+    untested = SensorDecision(t_us=2, sensor="mag", reason="no healthy reference")
+    results = [alarm, untested, msgspec.structs.replace(alarm, t_us=3), decision(0.2)]
+    with open_bus("tcp/127.0.0.1:0", run="t", router=True) as bus:
+        got: queue.Queue[bytes] = queue.Queue(20)
+        bus.subscribe("fdi/events", lambda _, data: got.put(data))
+        Publisher(bus).publish(results)
+        assert [decode(got.get(timeout=5)) for _ in range(2)] == [alarm, decision(0.2)]
+
+
 def test_isolation_is_published_when_exclusions_change_and_not_with_every_verdict() -> None:
     alarmed = msgspec.structs.replace(decision(0.2), alarm=True, hypothesis="multiple-unknown")
     decisions = [decision(0.0), alarmed, decision(0.4, ("G12",)), decision(0.6, ("E05", "G12"))]

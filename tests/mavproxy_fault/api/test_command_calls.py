@@ -41,12 +41,14 @@ def test_an_autopilot_that_cannot_fly_is_no_flight_of_the_simulators_controller(
         mavproxy_fault.run(SHORT, estimators=["mahoni"], out=tmp_path / "none")
 
 
-def test_a_campaign_gives_its_cells_and_whether_it_passed(tmp_path: Path) -> None:
-    scenario = tmp_path / "short.yaml"
-    scenario.write_text(yaml.safe_dump(SHORT))
+def test_a_campaign_gives_its_cells_and_whether_it_passed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # to which file names in a dictionary are relative
+    Path("short.yaml").write_text(yaml.safe_dump(SHORT))
     content = {
         "subjects": ["ekf"],
-        "scenarios": [str(scenario)],
+        "scenarios": ["short.yaml"],
         "onsets": [2],
         "durations_s": [2],
         "faults": [{**BIAS, "magnitudes": [0.001, 2.0]}],

@@ -193,6 +193,8 @@ def test_a_live_fault_starts_when_armed_and_can_be_changed_and_cleared():
 
 def test_an_invalid_live_edit_changes_nothing():
     it = engine(BIAS)
+    with pytest.raises(ConfigError, match="step waits for the vehicle's first timestamp"):
+        it.update("step", 1)
     it.start_at(0)
     with pytest.raises(ConfigError, match="did you mean bias"):
         it.arm({"fault": "bais", "target": "HIL_SENSOR.xgyro", "value": 1})
