@@ -7,14 +7,7 @@ from mavproxy_fault.documents.document_check import NotNegative
 from mavproxy_fault.fault_parts.profile import Duration
 from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
 from mavproxy_fault.fault_parts.value_fault import GYRO
-
-
-@value_rule
-def hold_first(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
-    """Return this sender's first value, `m[1]`."""
-    if not m[0]:
-        m[0], m[1] = 1.0, x[i]
-    return m[1]
+from mavproxy_fault.faults.delayed_values import hold_sample
 
 
 class Freeze(RuleFault, frozen=True, kw_only=True):
@@ -24,9 +17,12 @@ class Freeze(RuleFault, frozen=True, kw_only=True):
     example: ClassVar[dict[str, Any]] = {"target": GYRO}
     aliases: ClassVar[tuple[str, ...]] = ("stuck",)
     by_sender: ClassVar[bool] = True
-    rule = staticmethod(hold_first)
-    parameters: ClassVar[tuple[str, ...]] = ()
-    remembers: ClassVar[int] = 2
+    rule = staticmethod(hold_sample)
+    remembers: ClassVar[int] = 3
+
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return that no new sample is taken."""
+        return [(math.inf,)] * count
 
 
 @value_rule

@@ -26,7 +26,6 @@ BARE, BARE_IDS_FIRST = struct.Struct("<20f8i"), struct.Struct("<8i20f")
 CHECKSUM = 1234567897
 NO_FAULT = 123549
 FIRST_PORT = 30100  # of vehicle 1; each further vehicle adds two
-SLOTS = 8
 
 # First parameter of a sensor fault.
 NOISE_AND_BIAS, SCALE_FACTOR = 3, 4
