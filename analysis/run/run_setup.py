@@ -45,11 +45,13 @@ def read_setup(
     changes: Mapping[str, Any] | None = None,
     estimators: Sequence[str] | None = None,
     required: Sequence[str] = (),
+    flown: bool = True,
 ) -> RunSetup:
     """Read a scenario (None: the demo), and replace its schedule, seed or values if given.
 
     `changes` are values of the scenario by their paths, as in `changed_scenario`; `estimators`
     replace the attitude estimators that the scenario names; `required` are further requirements.
+    The monitor of a setup that is not `flown` does not learn how the vehicle responds.
 
     Raises
     ------
@@ -75,9 +77,10 @@ def read_setup(
     if estimators is not None:
         attitude = msgspec.structs.replace(monitor.attitude, estimators=tuple(estimators))
         monitor = msgspec.structs.replace(monitor, attitude=attitude)
-    monitor = msgspec.structs.replace(
-        monitor, actuators=vehicle_effects(scenario), field_ned_gauss=_field_ned_gauss(scenario)
-    )
+    if flown:
+        monitor = msgspec.structs.replace(
+            monitor, actuators=vehicle_effects(scenario), field_ned_gauss=_field_ned_gauss(scenario)
+        )
     requirements = read_requirements(f"{document.where}: requirements", scenario.requirements)
     requirements += read_requirements("--require", list(required))
     # One of both places is judged once.

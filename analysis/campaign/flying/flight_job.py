@@ -141,8 +141,9 @@ def run_cell_flight(job: FlightJob, start: dict[str, Any]) -> CampaignFlight:
 
 
 def setup_by_name(
-    campaign: CampaignFile, scenario: str, seed: int | None = None, subjects: Sequence[str] = ()
-) -> RunSetup:
+    campaign: CampaignFile, scenario: str, seed: int | None = None, subjects: Sequence[str] = (),
+    flown: bool = True,
+) -> RunSetup:  # fmt: skip
     """Read a scenario by its name in results, with the estimators among the subjects; errors as in
     `read_setup`."""
     file, *changes = campaign.scenario_arguments(scenario)
@@ -151,4 +152,4 @@ def setup_by_name(
     # Every other argument is the option's name.
     required = requirement_arguments(parse_requirements(campaign.requirements))[1::2]
     changed = dict(map(parse_change, changes[1::2]))
-    return read_setup(file, None, seed, changed, estimators, required)
+    return read_setup(file, None, seed, changed, estimators, required, flown)
