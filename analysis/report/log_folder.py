@@ -14,7 +14,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any
 
-from analysis.processes import spawn_context
+from analysis.processes import fork_context, spawn_context
 from analysis.report.judging.checks import worst_first
 from analysis.report.log_report import report_flight
 from analysis.report.page.index_page import UNREADABLE, index_html
@@ -112,7 +112,7 @@ def _report_all(
     from rich.console import Console
     from rich.progress import track
 
-    context = spawn_context()
+    context = fork_context() or spawn_context()
     # The pool needs at least one worker.
     with ProcessPoolExecutor(min(len(logs) or 1, os.cpu_count() or 1), context) as pool:
         jobs = {

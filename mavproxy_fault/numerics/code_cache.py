@@ -31,7 +31,8 @@ IMPORTED = re.compile(
 # A docstring, a comment or nothing, on lines of its own. A docstring begins with a capital or a
 # name in backquotes, which never follow the end of a string.
 SILENT = re.compile(rb'^[ \t]*(?:#.*|"""(?=[A-Z`])(?s:.*?)""")?\n', re.MULTILINE)
-STALE_S = 7 * 86_400.0  # unused for a week: an update's, or an edit's
+DAY_S = 86_400.0
+STALE_S = 7 * DAY_S  # unused for a week: an update's, or an edit's
 
 
 @cache
@@ -124,14 +125,17 @@ def module_folders(module: str, source: Path) -> tuple[Path, Path | None]:
 
 
 def note_use(found: Path, others: str) -> None:
-    """Note that a file or folder is in use; if it is new, remove the others of a pattern beside it
+    """Note that a file or folder is in use; once a day, remove the others of a pattern beside it
     that have not been for a week. Several versions of the sources may share the place."""
+    now_s = time.time()
     with suppress(OSError):  # it is not there yet, or not ours
+        noted_s = found.stat().st_mtime
         os.utime(found)
-        return
+        if now_s - noted_s < DAY_S:
+            return
     for old in found.parent.glob(others):
         with suppress(OSError):  # another process may remove it too
-            if old.stat().st_mtime < time.time() - STALE_S:
+            if old != found and old.stat().st_mtime < now_s - STALE_S:
                 shutil.rmtree(old) if old.is_dir() else old.unlink()
 
 
