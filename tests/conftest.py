@@ -14,7 +14,7 @@ DATA = Path(
     os.environ.get("MAVPROXY_FAULT_DATA", Path(__file__).resolve().parents[2] / "shared" / "data")
 )
 
-settings.register_profile("fast", max_examples=60, deadline=None, derandomize=True)
+settings.register_profile("fast", max_examples=40, deadline=None, derandomize=True)
 settings.register_profile("deep", max_examples=5000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 

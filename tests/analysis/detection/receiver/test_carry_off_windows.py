@@ -61,7 +61,7 @@ def apart_m(one: Decision, same: Decision) -> float:
 
 @pytest.fixture(scope="module")
 def clean(without_ranges: list[Sample]) -> list[Decision]:
-    """What is decided of the flight that nobody carries off."""
+    """What is decided of the flight without spoofing."""
     return decided(without_ranges)
 
 
