@@ -54,7 +54,7 @@ default ports (all on 127.0.0.1)
 exit codes
   0 success    1 the verdict is FAIL    2 the input is invalid
 
-`mavproxy-fault help COMMAND` explains a command; --json prints its result for programs.
+`help COMMAND` explains a command; --json prints its result for programs.
 NO_COLOR turns colours off.
 """
 RECORDING_READERS = ("replay", "report", "monitor")  # they know a session's own dialects
