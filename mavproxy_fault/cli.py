@@ -29,10 +29,10 @@ from mavproxy_fault.wire.dialect_files import DIALECT_VARIABLE, dialect_paths, f
 
 EPILOG = """\
 examples
-  mavproxy-fault run                                     the built-in demo, report in runs/
-  mavproxy-fault proxy --master udpin:127.0.0.1:14560 --to udpout:127.0.0.1:14550 \\
-                       --schedule examples/gyro_bias.yaml
-  mavproxy-fault report flight.tlog                      any tlog, ULog or dataflash log
+  mavproxy-fault run                   the built-in demo, report in runs/
+  mavproxy-fault proxy --master udpin:127.0.0.1:14560 \\
+                       --to udpout:127.0.0.1:14550 --schedule gyro_bias.yaml
+  mavproxy-fault report flight.tlog    any tlog, ULog or dataflash log
 
 connection strings (as in pymavlink)
   udpin:HOST:PORT   listen          udpout:HOST:PORT  send to
@@ -45,7 +45,7 @@ options that mean the same in every command
   --run     the name of a proxy on Zenoh; --zenoh is its router
 
 completion
-  eval "$(mavproxy-fault --completion bash)"             a line for ~/.bashrc
+  eval "$(mavproxy-fault --completion bash)"    a line for ~/.bashrc
 
 default ports (all on 127.0.0.1)
   4560 TCP  PX4's HIL link          14550 UDP  ground station
@@ -54,7 +54,7 @@ default ports (all on 127.0.0.1)
 exit codes
   0 success    1 the verdict is FAIL    2 the input is invalid
 
-`mavproxy-fault help COMMAND` explains a command; --json prints its result for programs.
+`help COMMAND` explains a command; --json prints its result for programs.
 NO_COLOR turns colours off.
 """
 RECORDING_READERS = ("replay", "report", "monitor")  # they know a session's own dialects

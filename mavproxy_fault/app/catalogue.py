@@ -3,12 +3,13 @@
 import argparse
 import inspect
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from mavproxy_fault.app.command_result import print_result
+from mavproxy_fault.app.command_result import open_console, plain_table, print_result
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import write_yaml
@@ -46,7 +47,7 @@ def main(args: argparse.Namespace) -> int:
             print_result(args, {"sources": sources, "messages": messages}, "\n".join(lines))
         else:
             catalogue = list_catalogue()
-            print_result(args, catalogue, format_catalogue(catalogue))
+            print_result(args, catalogue, partial(show_catalogue, catalogue))
     elif args.action == "show":
         text = describe_fault(args.name)
         print_result(args, {"name": args.name, "text": text}, text)
@@ -77,12 +78,13 @@ def list_catalogue() -> dict[str, dict[str, str]]:
     return {"faults": faults, "presets": presets}
 
 
-def format_catalogue(catalogue: dict[str, dict[str, str]]) -> str:
-    """Format all faults and presets, one per line."""
-    lines = []
+def show_catalogue(catalogue: dict[str, dict[str, str]]) -> None:
+    """Print all faults and presets as tables, as wide as the terminal."""
     for title, rows in catalogue.items():
-        lines += [title, *(f"  {name:26}{about}" for name, about in rows.items())]
-    return "\n".join(lines)
+        table = plain_table(title, "what it does")
+        for row in rows.items():
+            table.add_row(*row)
+        open_console().print(table)
 
 
 def first_line(kind: type[Any]) -> str:

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 import yaml
 
-from mavproxy_fault.app.catalogue import format_catalogue, list_catalogue, schedule_schema
+from mavproxy_fault.app.catalogue import schedule_schema
 from mavproxy_fault.app.preview import preview_curves
 from mavproxy_fault.cli import main
 from mavproxy_fault.faults.registry import known_faults
@@ -30,8 +30,11 @@ def schedule(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_list_has_one_line_for_every_fault_and_preset() -> None:
-    words = [line.split()[0] for line in format_catalogue(list_catalogue()).splitlines()]
+def test_the_list_has_one_line_for_every_fault_and_preset(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    main(["faults", "list"])
+    words = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
     assert words == ["faults", *known_faults(), "presets", *preset_names()]
 
 
