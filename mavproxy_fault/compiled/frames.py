@@ -27,6 +27,7 @@ link_time = kernel_of(sender_rules.link_time)
 missing_before = kernel_of(sender_rules.missing_before)
 put = kernel_of(delay_queue.put)
 take = kernel_of(delay_queue.take)
+follow_simulator = kernel_of(delay_queue.follow_simulator)
 read_stamp = kernel_of(sender_rules.read_stamp)
 read_target = kernel_of(sender_rules.read_target)
 select_links = kernel_of(sender_rules.select_links)
@@ -216,6 +217,8 @@ def _pass_frame(
     if ports[link, k.FROM_VEHICLE]:
         senders[cells.VEHICLE_SYSTEM] = sender >> 8
     senders[cells.WALL_OFFSET] = now_us - senders[cells.LINK_TIME]
+    if number == HIL_SENSOR:
+        follow_simulator(shared.waiting, t_us, now_us)
     if loop[k.KEEP]:
         _record_received(link, now_us, at, stop - at, shared)
     stop = note_signature(at, stop, entry[k.EXTRA], sealed, cell, link, shared)

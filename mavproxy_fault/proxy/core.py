@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from mavproxy_fault.proxy.announcements import label_announcement
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
-from mavproxy_fault.proxy.delay_queue import LAST_DUE, DelayQueue
+from mavproxy_fault.proxy.delay_queue import LAST_DUE, DelayQueue, follow_simulator
 from mavproxy_fault.proxy.interfaces import (
     NEVER_US,
     CommandResponder,
@@ -42,7 +42,7 @@ from mavproxy_fault.proxy.senders import (
     WALL_OFFSET,
     new_senders,
 )
-from mavproxy_fault.proxy.vehicle_clock import VehicleClock
+from mavproxy_fault.proxy.vehicle_clock import HIL_SENSOR, VehicleClock
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Junk, Parser, ParserCounters
@@ -364,6 +364,8 @@ class Core:
                 self.engine.restart(t_us)
                 self._announce(self.engine.drain_labels(), now_us, batch)
         self._note_link_time(now_us)
+        if frame.id == HIL_SENSOR:
+            follow_simulator(self.waiting.numbers, t_us, now_us)
         return t_us
 
     def _note_link_time(self, now_us: int) -> int:

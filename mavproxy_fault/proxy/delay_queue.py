@@ -1,7 +1,7 @@
 """The frames that wait until they are due, in memory that the core and machine code share.
 
-`put` and `take` are rules in numbers only, which `compiled` compiles. The queue is a binary heap of
-places, by due time and, of equal ones, in the order in which they came.
+`put`, `take` and `follow_simulator` are rules in numbers only, which `compiled` compiles. The queue
+is a binary heap of places, by due time and, of equal ones, in the order in which they came.
 """
 
 from collections.abc import MutableSequence
@@ -13,8 +13,9 @@ from mavproxy_fault.proxy.interfaces import NEVER_US
 
 MOST = 1 << 18  # chosen: 10 s of 26,000 frames a second; what does not fit is lost
 SLOT = 320  # bytes kept for a frame, more than the longest
-COUNT, PUT, FREE, LAST_DUE = range(4)  # waiting, put so far, a free place + 1, newest due time
-HEAP = 4
+# Waiting, put so far, a free place + 1, newest due time, wall time minus a simulator's time.
+COUNT, PUT, FREE, LAST_DUE, SIMULATOR_OFFSET = range(5)
+HEAP = 5
 ROWS = HEAP + MOST
 DUE, ORDER, LINKS, LENGTH = range(4)  # of a row; ORDER links free places
 ROW = 4
@@ -67,6 +68,21 @@ def take(queue: Queue) -> int:
     queue[HEAP + at], queue[COUNT] = last, count
     queue[ROWS + ROW * first + ORDER], queue[FREE] = queue[FREE], first + 1
     return first
+
+
+def follow_simulator(queue: Queue, t_us: int, now_us: int) -> None:
+    """Move what waits with the clock of a simulator, whose HIL_SENSOR of `t_us` came at `now_us`.
+
+    So a delay lasts its seconds of the simulator's time, at any speed of it; while it stands still,
+    for example waiting for the frame that is delayed, wall time counts.
+    """
+    offset_us, queue[SIMULATOR_OFFSET] = queue[SIMULATOR_OFFSET], now_us - t_us
+    moved_us = now_us - t_us - offset_us
+    if offset_us == 0 or moved_us == 0 or queue[COUNT] == 0:
+        return
+    for n in range(queue[COUNT]):
+        queue[ROWS + ROW * queue[HEAP + n] + DUE] += moved_us
+    queue[LAST_DUE] = max(queue[LAST_DUE], now_us)  # what is overdue now was not so before
 
 
 class DelayQueue:

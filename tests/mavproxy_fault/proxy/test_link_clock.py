@@ -4,6 +4,8 @@ from typing import Any
 
 import pytest
 
+from mavproxy_fault.compiled.compiled_core import CompiledCore
+from mavproxy_fault.compiled.object_file import make
 from mavproxy_fault.live.control import LiveControl
 from mavproxy_fault.live.edit_log import EditLog
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
@@ -70,6 +72,43 @@ def test_vehicle_time_is_used_where_an_entry_asks_for_it() -> None:
     times, core = passed({"fault": "drop", "at_s": 2, "clock": "vehicle"}, 10)
     assert len(times) == 400  # its only timestamp is the first
     assert core.drain_labels() == []
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("speed", [0.3, 1.0, 20.0])
+def test_a_delay_lasts_its_seconds_of_a_simulator_at_any_speed(
+    speed: float, compiled: bool
+) -> None:
+    entry = {"fault": "delay", "value": 0.1, "target": "HIL_GPS"}
+    core = Core(ROLES, Engine(parse_schedule({"seed": 1, "faults": [entry]})))
+    if compiled:
+        make()
+    receive = CompiledCore(core, 0, None).received if compiled else core.received
+    late_us, sensor_us = [], 0
+    for step in range(200):
+        now_us, t_us = WALL_US + round(step * 4000 / speed), 1_000_000 + step * 4000
+        raws = [message("HIL_SENSOR", time_usec=t_us, xacc=1)]
+        raws += [message("HIL_GPS", time_usec=t_us, fix_type=3)] if step % 10 == 5 else []
+        sends = []
+        for raw in raws:
+            sends += core.due(now_us) + receive(1, raw, now_us)
+        for send in sends:
+            if send.data[7:10] == b"\x6b\0\0":
+                sensor_us = int.from_bytes(send.data[10:18], "little")
+            elif send.data[7:10] == b"\x71\0\0":
+                late_us.append(sensor_us - int.from_bytes(send.data[10:18], "little"))
+    assert len(late_us) > 10
+    # Between two samples wall time counts.
+    assert all(100_000 - 4000 / min(speed, 1.0) <= one <= 104_000 for one in late_us), late_us
+
+
+def test_a_delayed_frame_that_a_standing_simulator_waits_for_is_due_by_the_wall() -> None:
+    entry = {"fault": "delay", "value": 0.1, "target": "HIL_SENSOR", "at_s": 0.004}
+    core = Core(ROLES, Engine(parse_schedule({"seed": 1, "faults": [entry]})))
+    for step in range(3):  # the last of them waits
+        core.received(1, message("HIL_SENSOR", time_usec=10**6 + step * 4000), WALL_US + step)
+    core.received(0, message("PARAM_VALUE"), WALL_US + 50_000)
+    assert core.next_due_us == WALL_US + 1 + 100_000 - 3999  # not moved by the parameter
 
 
 def test_the_link_time_follows_a_clock_that_runs_at_another_speed_and_never_decreases() -> None:
