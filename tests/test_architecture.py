@@ -1,6 +1,7 @@
 """The drawing of the rooms, and what the house rules say of files, against the sources."""
 
 import ast
+import re
 import runpy
 from collections import Counter
 from collections.abc import Iterator
@@ -85,3 +86,35 @@ def test_functions_are_small(package: str) -> None:
                     where = f"{path.relative_to(ROOT)}:{node.lineno} {node.name}"
                     large.append(f"{where}: {lines} lines, {count} parameters")
     assert large == []
+
+
+NUMBERS = (
+    ast.Constant, ast.BinOp, ast.UnaryOp, ast.Tuple, ast.Name, ast.operator, ast.unaryop, ast.Load,
+)  # fmt: skip
+
+
+def is_number(value: ast.expr | None) -> bool:
+    """Whether a number, an arithmetic expression or a tuple of them, also with a logarithm."""
+    if isinstance(value, ast.Call) and ast.unparse(value.func) == "np.log":
+        value = value.args[0]
+    nodes = [] if value is None else list(ast.walk(value))
+    literals = [node.value for node in nodes if isinstance(node, ast.Constant)]
+    numeric = all(type(one) in (int, float) for one in literals)
+    return bool(literals) and numeric and all(isinstance(node, NUMBERS) for node in nodes)
+
+
+def test_every_number_of_a_detector_states_its_source() -> None:
+    silent = []
+    for path in (ROOT / "analysis" / "detection").rglob("*.py"):
+        lines = path.read_text(encoding="utf-8").splitlines()
+        for node in ast.parse("\n".join(lines)).body:
+            if isinstance(node, ast.Assign | ast.AnnAssign) and is_number(node.value):
+                target = node.targets[0] if isinstance(node, ast.Assign) else node.target
+                around = lines[max(node.lineno - 2, 0) : node.end_lineno]
+                # A comment above, or one in the assignment itself.
+                says = around[0].startswith("#") or any("#" in line for line in around[1:])
+                if ast.unparse(target).strip("(").split(",")[0].isupper() and not says:
+                    silent.append(f"{path.relative_to(ROOT)}:{node.lineno} {ast.unparse(target)}")
+                if any(re.search(r"\bchosen\b(?! on benchmarks/)", line) for line in around):
+                    silent.append(f"{path.relative_to(ROOT)}:{node.lineno} is only chosen")
+    assert silent == []

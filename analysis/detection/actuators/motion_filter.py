@@ -35,14 +35,16 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
 BIN_S = BIN_US / 1e6  # the same
-# Time constants of m, of C and the constant term, chosen.
+# Time constants of m, of C and the constant term: with twice the first a weak motor of a learned
+# quad is missed, twice the last changes no row (benchmarks/actuator_watch.py).
 SHORT_S, LONG_S, CONSTANT_S = 0.5, 60.0, 20.0
 EARLY_SHARE = 3.0  # a memory is at most a third of the flight so far, or its start would dominate
 DELAY_BINS = 8  # delay of learning: 0.8 s, above the 0.3 s that a fault needs to be confirmed
 SPREAD_FROM_BIN = 10  # bins after which C is learned: before, theta is in its initial transient
-# variance of e over that of m, chosen for correlated gusts; white noise would give 10
+# Variance of e over that of m: white noise would give 10, correlated gusts less; half or twice
+# changes the delays of benchmarks/actuator_watch.py by 0.3 s.
 NOISE_PER_SPREAD = 3.0
-FIRST_SPREAD = 0.03  # variance of m before the flight, chosen
+FIRST_SPREAD = 0.03  # variance of m before the flight: half or twice changes them by 0.2 s
 UNOBSERVED_VARIANCE = 1e6  # variance of an axis that is not observed
 MOST_SIGMAS = 3.0  # e is clipped to three sigma: p 0.3 %
 MEAN_OUTLIER_STATISTIC = 10.0  # m' inv(V) m above which m has less weight in C: chi2inv(0.875, 6)

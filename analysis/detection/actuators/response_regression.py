@@ -41,21 +41,23 @@ HYPOTHESES = COMMANDS + 2  # actuators, LOAD and PITOT
 BINS_PER_STEP = 5  # bins of a step: half a second
 RETENTION = 0.95  # per step: a memory of 10 s
 INITIAL_SPREADS = 2.0  # V before the flight, in covariances of m: half seconds are shorter than m
-TRIM_VARIANCES = 4.0  # variance of the trim over V, chosen
-STUCK_LEAST_EXPLAINED = 6.0  # r that the free constant has to add, chosen
+TRIM_VARIANCES = 4.0  # variance of the trim over V: 2 sigma; half or twice changes no row
+STUCK_LEAST_EXPLAINED = 6.0  # r that the free constant has to add: 2.4 sigma, p 0.014
 STUCK_SHARE = 0.4  # least g of an actuator that has been stuck for some seconds
 # Least r and least g^2 over its variance (5.5 and 3.7 sigma of one degree of freedom); largest
 # remainder per degree of freedom, absolute and as a share of r; least lead over the next hypothesis
 # in units of the remainder, the smallest unit, and for another actuator as a share of r (one
-# outlier says more than the model knows). Chosen on benchmarks/actuator_watch.py.
+# outlier says more than the model knows): no false isolation in benchmarks/actuator_watch.py.
 LEAST_EXPLAINED, LEAST_SIGNIFICANCE, MOST_LEFT, MOST_LEFT_SHARE = 30.0, 14.0, 3.0, 0.15
-LEAST_LEAD, LEAST_NOISE, LEAST_LEAD_SHARE = 12.0, 0.25, 0.2
+LEAST_LEAD, LEAST_NOISE, LEAST_LEAD_SHARE = 12.0, 0.25, 0.2  # the last three of these
 # Steps before the first test: 10 s; of an unknown vehicle 30 s: gusts led to an alarm at 29 s
 LEARNED_STEPS, UNKNOWN_LEARNED_STEPS = 20.0, 60.0
 LEAST_STEPS = 2.5  # steps since the last reset
 MOST_LOSS = 1.25  # largest g of an actuator: 1, and room for its error
-JUMP_STATISTIC = 150.0  # remainder of one step beyond the hypothesis: a new fault, chosen
-EFFECT_SIGMA = 0.03  # one sigma of g: no effect is constant to better than 3 %, chosen
+# Remainder of one step beyond the hypothesis, a new fault: without it a load is suspected beside a
+# stuck elevator (benchmarks/actuator_watch.py).
+JUMP_STATISTIC = 150.0
+EFFECT_SIGMA = 0.03  # one sigma of g; with twice as much a weak elevator may also be a load
 
 
 NO_HYPOTHESES = (NO_HYPOTHESIS, NO_HYPOTHESIS)

@@ -28,7 +28,7 @@ from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
 
 STEADY_MPS2 = 1.0  # a latency of 0.15 s is then an error of 0.15 m/s
-IMPACT_MPS2 = 5.0  # from fix to fix: half of gravity, as by a tilt of 0.5 rad in 0.2 s
+IMPACT_MPS2 = 5.0  # from fix to fix: half of gravity, as by a tilt of 0.5 rad; impacts are above
 Tests = tuple[FixTest, FixTest | None]  # of a fix's position, and of its velocity if known
 
 

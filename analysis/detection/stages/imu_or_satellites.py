@@ -161,7 +161,7 @@ def isolate_imu_or_satellites(
         return "imu", None
     if by_carry_off > by_imu + LEAST_RATIO_LEAD:
         return "gps", detection
-    return ("imu" if _imu_was_faulty(history) else UNDECIDED), None
+    return UNDECIDED, None
 
 
 def find_slow_carry_off(
@@ -199,14 +199,6 @@ def _repeat_tests(
     assert now.fix is not None
     assessments = [epoch.assessment for epoch in epochs]
     return RepeatedTests(windows, _is_explained_by_force(assessments, now.fix, config))
-
-
-def _imu_was_faulty(history: Sequence[EpochRecord]) -> bool:
-    """Whether the IMU was isolated within the history: then it most likely is faulty again."""
-    cores = [record.core for record in history]
-    return any(
-        core.imu.suspended_until_us is not None and not core.trust.unbounded for core in cores
-    )
 
 
 def _last_epochs(
