@@ -152,16 +152,12 @@ class CompiledCore:
             return k.INTERPRETED, -1
         if not acting:
             return k.PASS_UNTIL_EDGE, -1
-        first = self._planned().add(self._learned[number], acting)
-        return (k.INTERPRETED, -1) if first is None else (k.PLANNED, first)
-
-    def _planned(self) -> "Plans":
-        """The rows of faults, created at first use."""
-        if self._plans is None:
+        if self._plans is None:  # imported at first use
             from mavproxy_fault.compiled.plans import Plans
 
             self._plans = Plans(self.shared)
-        return self._plans
+        first = self._plans.add(self._learned[number], acting)
+        return (k.INTERPRETED, -1) if first is None else (k.PLANNED, first)
 
     # Chunks without a socket
 
@@ -180,9 +176,10 @@ class CompiledCore:
         sends: list[Send] = []
         at = 0
         while True:
-            more, passed, found = self._collect(now_us)
-            sends += more
-            at += passed
+            at, found = at + self.loop[k.ROW_AT], self.loop[k.FOUND]
+            sends += self._segments(-1)
+            self._settle(now_us, news=found == k.NEWS)
+            sends += self.take_sends()
             if found in (k.FRAME, k.REST):
                 more, taken = self._give(link, data[at:], now_us, stream, found, begun=at > 0)
                 sends += more
@@ -213,13 +210,6 @@ class CompiledCore:
         self._refresh()
         loop[k.LENT], loop[k.LINK], loop[k.CAME] = length, link, now_us * 1000 - loop[k.BASE]
         self._forward(self._addresses)
-
-    def _collect(self, now_us: int) -> tuple[list[Send], int, int]:
-        """Return what leaves of a chunk, how many bytes passed, and what ended it."""
-        passed, found = self.loop[k.ROW_AT], self.loop[k.FOUND]
-        sends = self._segments(-1)
-        self._settle(now_us, news=found == k.NEWS)
-        return sends + self.take_sends(), passed, found
 
     def _release(self, now_us: int) -> list[Send]:
         """Release delayed frames that are due, up to one of the core's."""

@@ -63,6 +63,12 @@ def draw_addresses(kind: str, rng: Any) -> tuple[int, int]:
     return function, rng.bit_generator.ctypes.bit_generator.value
 
 
+def write_row(table: Any, row: int, values: Sequence[float]) -> None:
+    """Write numbers to the columns of a row."""
+    for column, value in enumerate(values):
+        table[row, column] = value
+
+
 class Plans:
     """The rows of all planned entries."""
 
@@ -94,21 +100,19 @@ class Plans:
 
     def add(self, layout: Layout, acting: Sequence[ActiveEntry]) -> int | None:
         """Write the chain of entries that act on a message; the first row, None if one cannot."""
-        rows = [self._row(running) for running in acting]
         used = self._steps_used
-        copying = sum(getattr(one.fault, "effect", "") == "copies" for one in acting)
-        if None in rows or copying > 1 or len(acting) > k.MOST_CHAIN:
+        copying = [one.fault for one in acting if getattr(one.fault, "effect", "") == "copies"]
+        if len(acting) > k.MOST_CHAIN or len(copying) > 1:
             return None
-        frames = 1
-        for running, row in zip(acting, rows, strict=True):
-            assert row is not None
-            if not self._add_step(layout, running, row):
+        if any(fault.copies >= k.MOST_WORK for fault in copying):
+            return None
+        for running in acting:
+            row = self._row(running)
+            if row is None or not self._add_step(layout, running, row):
                 return None
-            if getattr(running.fault, "effect", "") == "copies":
-                frames += running.fault.copies
         for step, following in itertools.pairwise([*range(used, self._steps_used), -1]):
             self._shared.steps[step, k.NEXT] = following
-        return used if frames <= k.MOST_WORK else None
+        return used
 
     # Rows of entries
 
@@ -134,10 +138,8 @@ class Plans:
             shared = profile is not None and profile.remembers
             plan[k.REMEMBERS] = fault.remembers + 1 if fault.remembers or shared else 0
         elif isinstance(fault, RuleLinkFault) and getattr(fault, "profile", None) is None:
-            plan[k.EFFECT], plan[k.RULE] = (
-                EFFECTS[fault.effect],
-                numbered_rules(LINK_RULES).index(fault.rule),
-            )
+            plan[k.EFFECT] = EFFECTS[fault.effect]
+            plan[k.RULE] = numbered_rules(LINK_RULES).index(fault.rule)
             plan[k.REMEMBERS] = int(fault.remembers > 0)
         elif isinstance(fault, TimestampFault) and max(map(abs, fault.error())) < LARGEST_SHIFT_S:
             plan[k.EFFECT], plan[k.RULE] = k.VALUES, numbered_rules(VALUE_RULES).index(fault.rule)
@@ -164,8 +166,7 @@ class Plans:
             plan[k.CHANCE : k.CHANCES_FROM + 1] = draw_addresses("random", running.chance_rng)
         if not self._add_keys(running, row):
             return None
-        for column, value in enumerate(plan):
-            self._shared.entries[row, column] = value
+        write_row(self._shared.entries, row, plan)
         self._shared.chances[row] = running.entry.probability
         self._running.append(running)
         return row
@@ -176,8 +177,7 @@ class Plans:
                 return False
             system, component, message, instance = key or (0, 0, 0, 0)
             values = (row, way, system << 8 | component, message, instance, memory.at)
-            for column, value in enumerate(values):
-                self._shared.keys[self.key_count, column] = value
+            write_row(self._shared.keys, self.key_count, values)
             self.key_count += 1
         return True
 
@@ -218,20 +218,15 @@ class Plans:
             row, first, first + len(found), -1, max((one.end for one, *_ in found), default=0),
             self._numbers_used,
         )  # fmt: skip
-        for column, value in enumerate(step):
-            self._shared.steps[self._steps_used, column] = value
+        write_row(self._shared.steps, self._steps_used, step)
         self._steps_used += 1
         self._add_numbers(numbers)
         for one, values, factor, scale in found:
             place = self._elements_used
             kind = k.REAL if one.code in "fd" else k.SIGNED if one.code.islower() else k.UNSIGNED
             element = (one.start, one.end - one.start, kind, self._numbers_used)
-            for column, value in enumerate(element):
-                self._shared.elements[place, column] = value
-            self._shared.factors[place, k.FACTOR], self._shared.factors[place, k.STEP_SCALE] = (
-                factor,
-                scale,
-            )
+            write_row(self._shared.elements, place, element)
+            write_row(self._shared.factors, place, (factor, scale))
             self._add_numbers(values)
             self._elements_used += 1
         return True

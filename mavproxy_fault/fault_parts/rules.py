@@ -215,13 +215,9 @@ def repeated_draw(u: float, v: float, share: float, m: Any) -> float:
 
 
 def choose_place(n: int, count: int, size: int, draws: Any) -> int:
-    """Return the n-th of `count` different places out of `size`, by Floyd's algorithm [1]_.
+    """Return the n-th of `count` different places out of `size`, drawn with `draws[n]`.
 
-    It is drawn with `draws[n]`, which becomes the place; those before are so already.
-
-    References
-    ----------
-    .. [1] Bentley and Floyd, Communications of the ACM 30(9), 1987.
+    That becomes the place, as those before it are (Bentley and Floyd, CACM 30(9), 1987).
     """
     last = size - count + n
     place = int(draws[n] * (last + 1))

@@ -53,10 +53,10 @@ class Corrupt(RuleLinkFault, frozen=True, kw_only=True):
             raw, at, size = frame, 0, len(frame)
         else:
             raw, at, size = frame.raw, frame.payload_at, frame.length
-        count = min(self.choose(len(raw), t_us, memory, rng), size)
-        if not count:
+        number, mixed = self.choose(len(raw), t_us, memory, rng), bytearray(raw)
+        if not number:
             return [Outgoing(t_us, frame)]
-        mixed = bytearray(raw)
+        count = min(number, size)
         mix_bytes(mixed, at, size, count, rng.random(2 * count).tolist())
         if isinstance(frame, Frame) and self.crc == "redone":
             return [Outgoing(t_us, frame.with_payload(bytes(mixed[at : at + size])))]

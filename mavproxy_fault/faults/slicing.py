@@ -4,11 +4,16 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from mavproxy_fault.fault_parts.fault import Generator, LinkFault, Outgoing
-from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.fault_parts.rules import Effect, Numbers, RuleLinkFault, link_rule
 
 
-class Slice(LinkFault, frozen=True, kw_only=True):
+@link_rule
+def keep_number(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
+    """Count the frame, which the link cuts: its sequence number comes round to itself."""
+    return 256
+
+
+class Slice(RuleLinkFault, frozen=True, kw_only=True):
     """Send what TCP endpoints get in pieces of `value` bytes, each by a system call of its own.
 
     A receiver then reads parts of frames, as toxiproxy's `slicer` makes it. Frames stay whole in
@@ -18,17 +23,16 @@ class Slice(LinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "slice"
     example: ClassVar[dict[str, Any]] = {"value": 8}
 
+    takes_bytes: ClassVar[bool] = False
+    takes_unknown: ClassVar[bool] = True
+    takes_sealed: ClassVar[bool] = False
+    rule = staticmethod(keep_number)
+    effect: ClassVar[Effect] = "renumber"
+    certain: ClassVar[bool] = True
+
     value: Annotated[int, Meta(ge=1)] = 8
 
     @property
     def connection(self) -> int:
         """The size of a piece, for the links."""
         return self.value
-
-    def apply(
-        self, frame: Frame | bytes, t_us: int, state: Any, rng: Generator
-    ) -> tuple[list[Outgoing], Any]:
-        """Count the frame, which the link cuts: a copy is another frame than the one that came."""
-        if isinstance(frame, Frame) and not frame.signed:
-            frame = Frame(frame.raw, frame.layout)
-        return [Outgoing(t_us, frame)], None

@@ -15,11 +15,6 @@ MAX_PEERS = 32  # chosen: every frame goes to every peer, so this bounds the cos
 Network = ipaddress.IPv4Network | ipaddress.IPv6Network
 
 
-def reject_every_datagram(_: bytes) -> bool:
-    """Default of `Admission.is_frame`: no datagram proves its sender."""
-    return False
-
-
 @dataclass(frozen=True, slots=True)
 class Admission:
     """The rule for which addresses may be peers.
@@ -30,7 +25,7 @@ class Admission:
 
     allowed: tuple[Network, ...] = ()
     lock: bool = False
-    is_frame: Callable[[bytes], bool] = reject_every_datagram
+    is_frame: Callable[[bytes], bool] = lambda _: False  # nothing proves a sender
 
 
 @dataclass(slots=True)

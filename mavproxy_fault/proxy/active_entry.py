@@ -225,13 +225,17 @@ class ActiveEntry:
         """Whether it has been active and has no further scheduled start."""
         return not self.active and self.start_us == NEVER_US and self.starts > 0
 
-    def matches(self, frame: Frame, direction: str) -> bool:
-        """Whether the frame matches the entry's `where`."""
-        if self.matches_all:
-            return True
-        instance = self._instance(frame) if self.where[3] >= 0 else ANY
-        sender = frame.system << 8 | frame.component
-        return is_selected(self.where, sender, WAYS.index(direction), instance)
+    def admits(self, frame: Frame, direction: str, *, sealed: bool) -> bool:
+        """Whether the fault acts on a frame; a sealed one that it cannot change is counted."""
+        if not self.matches_all:
+            instance = self._instance(frame) if self.where[3] >= 0 else ANY
+            sender = frame.system << 8 | frame.component
+            if not is_selected(self.where, sender, WAYS.index(direction), instance):
+                return False
+        if sealed and not self.takes_sealed:
+            self.counts.numbers[hits.SEALED] += 1.0
+            return False
+        return True
 
     @staticmethod
     def _instance(frame: Frame) -> int:
@@ -240,7 +244,7 @@ class ActiveEntry:
         found = frame.read(name) if name in frame.layout.fields else 0
         return found if isinstance(found, int) else ANY
 
-    def matches_junk(self, data: bytes | Frame, direction: str, *, sealed: bool) -> bool:
+    def admits_junk(self, data: bytes | Frame, direction: str, *, sealed: bool) -> bool:
         """Whether the fault acts on junk, or on a frame of an unknown message."""
         system, component, way, instance = self.where
         if isinstance(data, bytes):
@@ -248,12 +252,8 @@ class ActiveEntry:
             anything = system == component == instance == ANY
             return self.takes_bytes and anything and way in (ANY, WAYS.index(direction))
         # The instance is in the payload, which cannot be read.
-        if not self.takes_unknown or instance != ANY or not self.matches(data, direction):
-            return False
-        if sealed and not self.takes_sealed:
-            self.note_sealed()
-            return False
-        return True
+        readable = self.takes_unknown and instance == ANY
+        return readable and self.admits(data, direction, sealed=sealed)
 
     def act(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
         """Apply the fault to a frame and count the effect."""
@@ -276,10 +276,6 @@ class ActiveEntry:
             saturated, way = sum(out.saturated for out in sends), DIRECTIONS.index(direction) - 1
             hits.note_hits(self.counts.numbers, t_us, way, touched, saturated, largest)
         return sends
-
-    def note_sealed(self) -> None:
-        """Count a signed frame that the fault could not change."""
-        self.counts.numbers[hits.SEALED] += 1.0
 
     def skips_by_chance(self) -> bool:
         """Whether the entry's probability exempts this frame."""

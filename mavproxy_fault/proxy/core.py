@@ -188,8 +188,9 @@ class Core:
         numbers = self.waiting.numbers
         while (due_us := min(self._engine_due_us(), self.waiting.first_us)) <= now_us:
             is_delayed = due_us == self.waiting.first_us
-            if is_delayed and not self.waiting.has_own and self.release_delayed is not None:
-                sends += self.release_delayed(now_us)
+            some = self.release_delayed(now_us) if is_delayed and self.release_delayed else ()
+            if some:
+                sends += some
                 continue
             # After a time jump forward, a delayed frame could otherwise leave before it arrived.
             numbers[LAST_DUE] = when_us = max(due_us, numbers[LAST_DUE])

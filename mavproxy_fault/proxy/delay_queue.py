@@ -104,11 +104,6 @@ class DelayQueue:
         found: int = numbers[ROWS + ROW * numbers[HEAP] + DUE] if numbers[COUNT] else NEVER_US
         return found
 
-    @property
-    def has_own(self) -> bool:
-        """Whether the first frame is the core's."""
-        return bool(self.numbers[ROWS + ROW * self.numbers[HEAP] + LENGTH] == OWN)
-
     def hold(self, due_us: int, links: int, raw: bytes) -> None:
         """Keep bytes, which the core releases."""
         place = put(self.numbers, due_us, links, OWN)

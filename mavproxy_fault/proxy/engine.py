@@ -89,11 +89,10 @@ class Engine:
         entry = one if isinstance(one, Entry) else one.entry
         return self.link_us if entry.clock == "link" else self.now_us
 
-    def _follow(self) -> int:
-        """Start and end what is due; return the link time."""
+    def _follow(self) -> None:
+        """Start and end what is due."""
         if self.now_us >= self._edges_us[0] or self.link_us >= self._edges_us[1]:
             self._advance()
-        return self.link_us
 
     def _run(self, entry: Entry, base_us: int) -> ActiveEntry:
         assert self.t0_us is not None
@@ -248,19 +247,28 @@ class Engine:
         self.now_us, self.link_us = t_us, t_us if route.link_us is None else route.link_us
         if frame.id in self._watched:
             self._watch(frame)
-        link_us = self._follow()
-        sends = [Outgoing(link_us, frame)]
-        for running in self._by_id.get(frame.id, self._any):
-            if not running.matches_all and not running.matches(frame, direction):
-                continue
-            if sealed and not running.takes_sealed:
-                running.note_sealed()
-                continue
+        self._follow()
+        chosen = self._by_id.get(frame.id, self._any)
+        acting = [one for one in chosen if one.admits(frame, direction, sealed=sealed)]
+        sends = self._act(acting, frame, direction, t_us, route)
+        if self._released:
+            sends, self._released = self._released + sends, []
+        return sends
+
+    def _act(
+        self,
+        acting: Sequence[ActiveEntry],
+        data: Frame | bytes,
+        direction: str,
+        t_us: int,
+        route: Route,
+    ) -> list[Outgoing]:
+        """Let entries act in turn, and attend to their labels."""
+        sends = [Outgoing(self.link_us, data)]
+        for running in acting:
             sends = _apply_to_outgoing(running, sends, direction, t_us, route)
             if running.needs_attention:
                 self.attend(running, self._now(running))
-        if self._released:
-            sends, self._released = self._released + sends, []
         return sends
 
     def attend(self, running: ActiveEntry, t_us: int) -> None:
@@ -297,13 +305,9 @@ class Engine:
         if self.t0_us is None:
             return [Outgoing(link_us, data)]
         self.now_us, self.link_us = t_us, link_us
-        sends = [Outgoing(self._follow(), data)]
-        for running in self._any:
-            if running.matches_junk(data, direction, sealed=sealed):
-                sends = _apply_to_outgoing(running, sends, direction, t_us, route)
-                if running.needs_attention:
-                    self.attend(running, self._now(running))
-        return sends
+        self._follow()
+        acting = [one for one in self._any if one.admits_junk(data, direction, sealed=sealed)]
+        return self._act(acting, data, direction, t_us, route)
 
     def drain_labels(self) -> list[Label]:
         """Return the labels written since the last call."""

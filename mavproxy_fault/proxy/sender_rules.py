@@ -41,16 +41,8 @@ def vehicle_time(senders: Senders, sender: int, stamp_us: int, now_us: int) -> i
     A frame without a timestamp (0) gets the newest time of its system, or of any system if its own
     has none of the last ten seconds; before the first timestamp, wall time. A timestamp that jumps
     by more than ten seconds, and further than the wall clock, is unconfirmed and counted: its frame
-    gets the newest time, until the next timestamp of that clock confirms the jump.
-
-    Parameters
-    ----------
-    senders : sequence of int, shape (senders.SIZE,)
-        State of all senders; updated.
-    sender : int
-        `system << 8 | component`.
-    stamp_us, now_us : int
-        The frame's timestamp, and wall time.
+    gets the newest time, until the next timestamp of that clock confirms the jump. A `sender` is
+    `system << 8 | component`.
     """
     newest_at = SYSTEM_TIME + (sender >> 8)
     if stamp_us == 0:

@@ -1,6 +1,6 @@
 """Message layouts: the position, type and unit of every field in a MAVLink payload.
 
-The table has the messages of MAVLink and ArduPilot (see `generate_messages`) and those of the
+The table has the messages of MAVLink and ArduPilot (see `docs/write_messages.py`) and those of the
 user's XML files (see `dialect_files`). On the wire, fields are sorted by size; extension fields
 follow in definition order and exist only in MAVLink 2 [1]_.
 

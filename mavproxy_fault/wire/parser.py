@@ -80,11 +80,8 @@ class ParserCounters:
 
     def add(self, other: "ParserCounters") -> None:
         """Add another parser's counts."""
-        self.bytes += other.bytes
-        self.frames += other.frames
-        self.unknown += other.unknown
-        self.crc_errors += other.crc_errors
-        self.junk_bytes += other.junk_bytes
+        for name in ("bytes", "frames", "unknown", "crc_errors", "junk_bytes"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
         for number, count in other.unknown_ids.items():
             self.unknown_ids[number] = self.unknown_ids.get(number, 0) + count
 

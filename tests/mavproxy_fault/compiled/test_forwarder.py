@@ -10,6 +10,7 @@ import pytest
 from mavproxy_fault.app.proxy_command import link_roles
 from mavproxy_fault.app.replaying.playback import split_records
 from mavproxy_fault.app.server import Server
+from mavproxy_fault.compiled.compiled_core import CompiledCore
 from mavproxy_fault.compiled.object_file import load, make
 from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.links.udp import UdpClient, UdpServer
@@ -197,13 +198,13 @@ def test_most_traffic_never_reaches_the_plain_path(
     schedule: str, announced: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen = []
-    received = Core.received
+    process = Core._process
 
-    def counted(self: Core, *args: Any, **options: Any) -> Any:
+    def counted(self: Core, *args: Any) -> Any:
         seen.append(args)
-        return received(self, *args, **options)
+        return process(self, *args)
 
-    monkeypatch.setattr(Core, "received", counted)
+    monkeypatch.setattr(Core, "_process", counted)
     sensors = [
         frame("HIL_SENSOR", n, 1, 51, time_usec=10**6 + n, xgyro=1, xmag=1, fields_updated=63)
         for n in range(500)
@@ -211,3 +212,18 @@ def test_most_traffic_never_reaches_the_plain_path(
     outcome = run(sensors, fast=True, schedule=schedule)
     assert sum(map(len, outcome.got)) > 500 * len(sensors[0]) + announced
     assert len(seen) < 80  # the marks, and what is new at first
+
+
+def test_delayed_frames_leave_without_the_interpreter(monkeypatch: pytest.MonkeyPatch) -> None:
+    released = []
+    release = CompiledCore._release
+
+    def counted(self: CompiledCore, now_us: int) -> Any:
+        released.append(release(self, now_us))
+        return released[-1]
+
+    monkeypatch.setattr(CompiledCore, "_release", counted)
+    frames = [frame("VFR_HUD", n, throttle=1 + n % 90) for n in range(400)]
+    outcome = run(frames, fast=True, schedule="faults: [{fault: jitter, value: 0.002}]")
+    assert [data for data in outcome.got if len(data) == len(frames[0])] == frames
+    assert sum(map(len, released)) < 200  # before what is junk, the core releases them

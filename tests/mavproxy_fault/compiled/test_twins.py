@@ -69,7 +69,7 @@ LINK_FAULTS: list[dict[str, Any]] = [
     {"fault": "drop", "value": 0.3, "correlation": 0.5}, {"fault": "bit-errors", "value": 1e-3},
     {"fault": "delay", "value": 0.012}, {"fault": "delay", "value": 0.02, "keep_order": True},
     {"fault": "drop", "value": 0.4, "clock": "vehicle"},
-    {"fault": "reorder", "value": 0.4, "by_s": 0.03},
+    {"fault": "reorder", "value": 0.4, "by_s": 0.03}, {"fault": "reorder", "gap": 3, "value": 0.7},
     {"fault": "reorder", "value": 0.7, "by_s": 0.03, "correlation": 0.4, "gap": 3},
     {"fault": "four-state-loss", "p13": 0.2, "p31": 0.3, "p32": 0.4, "p23": 0.5, "p14": 0.1},
     {"fault": "jitter", "value": 0.02},
@@ -80,8 +80,9 @@ LINK_FAULTS: list[dict[str, Any]] = [
     {"fault": "jitter", "value": 1, "distribution": "samples", "samples": [0.01, 0, 0.03]},
     {"fault": "duplicate", "copies": 2}, {"fault": "duplicate", "value": 0.3, "by_s": 0.02},
     {"fault": "sequence-gap", "value": 0.3}, {"fault": "truncate", "value": 0.5},
-    {"fault": "truncate", "count": 90}, {"fault": "corrupt", "value": 0.6, "count": 3},
-    {"fault": "corrupt", "count": 200, "crc": "redone"},
+    {"fault": "slice"}, {"fault": "truncate", "count": 90},
+    {"fault": "corrupt", "value": 0.6, "count": 3}, {"fault": "corrupt", "count": 200},
+    {"fault": "corrupt", "count": 2, "crc": "redone"},
     {"fault": "time-jump", "value": -2}, {"fault": "time-drift", "value": 0.3},
 ]  # fmt: skip
 VALUE_FAULTS: list[dict[str, Any]] = [

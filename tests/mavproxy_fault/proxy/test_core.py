@@ -242,6 +242,12 @@ def test_a_delay_is_applied_on_the_wall_clock() -> None:
     assert core.next_due_us is None
 
 
+def test_a_frame_that_is_cut_to_a_few_bytes_does_not_return_to_its_link() -> None:
+    core = core_with("faults: [{id: t, fault: truncate, target: HIL_SENSOR, count: 999}]")
+    sends = core.received(SIM, sensor(5.0), WALL_US)
+    assert [send.link for send in sends if len(send.data) == 1] == [AUTOPILOT]
+
+
 def leaping() -> bytes:
     """One datagram in which a vehicle's clock starts and jumps by 254 years."""
     stamps = (10**15, (1 << 53) - 10**6, (1 << 53) - 10**6 + 4000)

@@ -5,7 +5,7 @@ messages:
 
     git clone https://github.com/ArduPilot/mavlink ArduPilot
     git clone https://github.com/mavlink/mavlink MAVLink
-    python -m mavproxy_fault.wire.generate_messages \\
+    python docs/write_messages.py \\
         {MAVLink,ArduPilot}/message_definitions/v1.0/all.xml
 
 ArduPilot's file comes last, since its senders of RAW_IMU give units that MAVLink leaves open; of
@@ -20,7 +20,7 @@ from pathlib import Path
 
 from mavproxy_fault.wire.dialect_files import add_dialects, read_dialect
 
-TABLE_PATH = Path(__file__).with_name("messages.json")
+TABLE_PATH = Path(__file__).parents[1] / "mavproxy_fault" / "wire" / "messages.json"
 
 
 def describe_source(path: Path) -> dict[str, str]:

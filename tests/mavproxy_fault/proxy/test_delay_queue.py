@@ -1,0 +1,29 @@
+"""Delayed frames leave in the order of their due times, and of equal ones as they came."""
+
+import heapq
+import random
+
+from mavproxy_fault.proxy.delay_queue import COUNT, MOST, DelayQueue, put
+from mavproxy_fault.proxy.interfaces import NEVER_US
+
+
+def test_what_is_due_first_leaves_first_whatever_comes_and_goes_meanwhile() -> None:
+    rng, queue, expected = random.Random(5), DelayQueue(), []
+    for n in range(4000):
+        if n < 2000 and (not expected or rng.random() < 0.6):
+            item = (rng.randrange(100), n, n % 7, b"%d" % n)
+            heapq.heappush(expected, item)
+            queue.hold(item[0], item[2], item[3])
+        elif expected:
+            due_us, _, links, raw = heapq.heappop(expected)
+            assert queue.first_us == due_us
+            assert queue.release() == (links, raw)
+    assert not expected
+    assert queue.first_us == NEVER_US
+
+
+def test_a_full_queue_takes_no_more() -> None:
+    queue = DelayQueue()
+    queue.numbers[COUNT] = MOST
+    assert put(queue.numbers, 5, 1, 9) == -1
+    assert queue.numbers[COUNT] == MOST
