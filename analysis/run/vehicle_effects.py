@@ -20,6 +20,7 @@ from analysis.detection.actuators.effects import (
     OUTPUT,
     RATE,
     TERMS,
+    THROTTLE,
     Effects,
 )
 from mavproxy_fault.numerics.arrays import Array
@@ -38,7 +39,8 @@ STEPS, STEP_S = 30, 5e-3  # 0.15 s, six time constants of a slow motor
 HEIGHT_M = 100.0  # free of ground contact
 # Small against manoeuvres, large against rounding; chosen
 COMMAND_STEP, RATE_STEP_RPS, SPEED_STEP_MPS = 0.05, 0.05, 0.5
-HALVINGS = 12
+HALVINGS, LEVELS = 12, 11
+LEAST_SLOPE_SHARE = 0.02  # of the largest, chosen: below it an effect is taken as linear
 FORCE_X, FORCE_Y, FORCE_Z = range(ANGULAR, 6)  # after the angular accelerations
 BODY_AXES = 6
 MIN_WING_HZ = 0.1  # m/s^2 per m/s of cross flow; chosen: below it the vehicle has no wing
@@ -77,6 +79,17 @@ class _TrimmedVehicle:
         # Rounding must not make the lag of an immediate response negative.
         return max(float((1.0 - rise @ rise[-1] / total).sum() * STEP_S), 0.0)
 
+    def throttle_counts(self, number: int, rows: list[int], slopes: Array) -> Array:
+        """Return what the throttle's commands from 0 to 1 count on some axes (n, LEVELS) with
+        these `slopes` (n,)."""
+        levels, commands = np.linspace(0.0, 1.0, LEVELS), self.trim.copy()
+        moved = np.empty((len(rows), LEVELS))
+        for i, commands[number] in enumerate(levels):
+            moved[:, i] = self.motion(commands, np.zeros(RIGID_SIZE))[rows]
+        known = (np.abs(slopes) > LEAST_SLOPE_SHARE * np.abs(slopes).max())[:, None]
+        slope = np.where(known, slopes[:, None], 1.0)
+        return np.where(known, (moved - moved[:, :1]) / slope, levels)
+
     def _motions(self, commands: Array, change: Array) -> Array:
         """Return the motion (STEPS, 6) after each step since the commands changed."""
         state = self._state.copy()
@@ -93,7 +106,7 @@ class _TrimmedVehicle:
         """Return commands (n,) of steady flight: centred surfaces, and motors that balance weight
         or drag."""
         motors = 1.0 - _surfaces(names)
-        axis, sign = (0, 1.0) if "throttle" in names else (2, -1.0)
+        axis, sign = (0, 1.0) if THROTTLE in names else (2, -1.0)
         q = self._state[E0 : E0 + 4]
         needed_mps2 = -sign * STANDARD_GRAVITY_MPS2 * matrix_from_quat(q)[2, axis]
         low, high = 0.0, 1.0
@@ -136,6 +149,10 @@ def vehicle_effects(scenario: Scenario) -> Effects:
     # The lateral force is left out: it depends on the sideslip and on no actuator.
     rows = [0, 1, 2, FORCE_X, FORCE_X, FORCE_Z]
     coefficients, air = coefficients[rows], air[rows]
+    throttle = None
+    if THROTTLE in names:
+        number = names.index(THROTTLE)
+        throttle = trimmed.throttle_counts(number, rows, coefficients[:, OUTPUT + number])
     powers, cruise_mps = np.zeros(TERMS), np.inf
     if coefficients[FORWARD, FORCE:].any():  # wings
         coefficients[FORWARD_BY_AIRSPEED, AIRSPEED], air[FORWARD_BY_AIRSPEED, 0] = (
@@ -148,12 +165,13 @@ def vehicle_effects(scenario: Scenario) -> Effects:
         powers[RATE:FORCE] = 1.0
         air[:ANGULAR, 0] = 0.0  # the powers include it
     # Actuators are named by the vehicle kind, such as `motor 1` or `elevator`.
-    return Effects(tuple(names[:COMMANDS]), mix, coefficients, air, lags_s, powers, cruise_mps)
+    known = mix, coefficients, air, lags_s, powers, cruise_mps
+    return Effects(tuple(names[:COMMANDS]), *known, throttle=throttle)
 
 
 def _surfaces(names: list[str]) -> Array:
     """Return 1 for each control surface and 0 for each motor (n,)."""
-    motors = [name == "throttle" or name.startswith("motor") for name in names]
+    motors = [name == THROTTLE or name.startswith("motor") for name in names]
     return np.array([0.0 if motor else 1.0 for motor in motors])
 
 

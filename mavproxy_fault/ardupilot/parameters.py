@@ -73,6 +73,13 @@ KIND_PARAMETERS: dict[VehicleKind, dict[str, float]] = {
         "TRIM_THROTTLE": 40,
         "THR_MAX": 100,
         "TKOFF_ROTATE_SPD": 22,
+        # feed-forward at the cruise speed: 45 degrees of output is the full throw, which turns the
+        # aerosonde at 144 (roll) and 37 degrees a second (pitch); the integral trims it in 1 s
+        "SCALING_SPEED": 25,
+        "RLL_RATE_FF": 0.31,
+        "RLL_RATE_I": 0.31,
+        "PTCH_RATE_FF": 1.23,
+        "PTCH_RATE_I": 1.23,
         "WP_LOITER_RAD": 150,
         "AUTOLAND_WP_DIST": 1000,  # a glide slope of 3 degrees, as PX4's approach in a run
         "SERVO1_FUNCTION": 4,

@@ -11,6 +11,7 @@ import numpy as np
 
 from analysis.samples.sample import Vector
 
+THROTTLE = "throttle"
 COMMANDS = 12  # outputs of an autopilot in a sample, and the most actuators of a vehicle
 AXES, ANGULAR = 6, 3  # all, and those that turn
 FORWARD, FORWARD_BY_AIRSPEED, DOWN = range(ANGULAR, AXES)
@@ -40,7 +41,8 @@ class Effects(NamedTuple):
     `coefficients` are (AXES, TERMS), and `air` (AXES, 3) is the response to moving air per m/s.
     Those of an unknown vehicle are learned, and only its rotors are tested. `lags_s` (COMMANDS,)
     are the actuators' time constants; `powers` (TERMS,) of the airspeed over `cruise_mps` scale the
-    terms of the angular axes.
+    terms of the angular axes. `throttle` (AXES, n) is what a throttle's command counts in the
+    linear model, for n even steps from 0 to 1: a propeller's effect grows with its square.
     """
 
     names: tuple[str, ...]
@@ -51,6 +53,7 @@ class Effects(NamedTuple):
     powers: Vector
     cruise_mps: float
     unknown: bool = False
+    throttle: Vector | None = None
 
     def covariances(self) -> Vector:
         """Covariances of the coefficients before the flight (AXES, TERMS, TERMS)."""

@@ -28,6 +28,7 @@ from analysis.detection.actuators.effects import (
     OUTPUT,
     RATE,
     TERMS,
+    THROTTLE,
     Effects,
 )
 from analysis.detection.actuators.motion_bins import BIN_US
@@ -58,10 +59,9 @@ class MotionModel:
 
     `theta` (AXES, TERMS) with covariances `p` (AXES, TERMS, TERMS); `mean` (AXES,) is m, `spread`
     (AXES, AXES) is C, `nonlinearity` (AXES,) the part of m that the linear model cannot predict;
-    `mean_terms` (TERMS,) are the terms that it is linear about, `learned_terms` their mean over all
-    `learned` bins; `error` and `doubt` (AXES,): e and the variance of theta' x. `waiting` are
-    terms, motion, m and its statistic of bins that wait for learning, `bins` the number since the
-    start.
+    `mean_terms` (TERMS,) are the terms that it is linear about; `error` and `doubt` (AXES,): e and
+    the variance of theta' x. `waiting` are terms, motion, m and its statistic of bins that wait for
+    learning, `bins` the number since the start.
     """
 
     effects: Effects
@@ -71,8 +71,6 @@ class MotionModel:
     spread: Vector = field(default_factory=lambda: FIRST_SPREAD * np.eye(AXES))
     nonlinearity: Vector = field(default_factory=lambda: np.zeros(AXES))
     mean_terms: Vector = field(default_factory=lambda: np.zeros(TERMS))
-    learned_terms: Vector = field(default_factory=lambda: np.zeros(TERMS))
-    learned: int = 0
     error: Vector = field(default_factory=lambda: np.zeros(AXES))
     doubt: Vector = field(default_factory=lambda: np.zeros(AXES))
     waiting: deque[tuple[Vector, Vector, Vector, float]] = field(default_factory=deque)
@@ -96,10 +94,15 @@ class MotionModel:
         """Whether the axis with the airspeed can be predicted for a bin."""
         return bool(terms[AIRSPEED] > 0.0 and self.theta[FORWARD_BY_AIRSPEED, AIRSPEED] != 0.0)
 
-    def scale_by_airspeed(self, terms: Vector) -> Vector:
+    def scale_terms(self, terms: Vector) -> Vector:
         """The terms (AXES, TERMS) of each axis, scaled by the airspeed where it is known."""
         scaled = np.tile(terms, (AXES, 1))
         scaled[DOWN, FORCE:] = 0.0
+        if self.effects.throttle is not None:
+            column = OUTPUT + self.effects.names.index(THROTTLE)
+            levels = np.linspace(0.0, 1.0, self.effects.throttle.shape[1])
+            counts = [np.interp(terms[column], levels, axis) for axis in self.effects.throttle]
+            scaled[:, column] = counts
         if terms[AIRSPEED] > 0.0:
             scaled[:ANGULAR] *= (terms[AIRSPEED] / self.effects.cruise_mps) ** self.effects.powers
         return scaled
@@ -110,7 +113,7 @@ class MotionModel:
 
     def compare_motion(self, terms: Vector, motion: Vector) -> None:
         """Predict the motion of a bin, and average the residual."""
-        self._predict(self.scale_by_airspeed(terms), terms, motion)
+        self._predict(self.scale_terms(terms), terms, motion)
         self._average_nonlinearity(terms)
         self.bins += 1
         self.mean += BIN_S / SHORT_S * (self.error - self.mean)
@@ -158,12 +161,10 @@ class MotionModel:
 
     def _update(self, terms: Vector, motion: Vector) -> None:
         """One Kalman update per axis."""
-        scaled = self.scale_by_airspeed(terms)
+        scaled = self.scale_terms(terms)
         self._predict(scaled, terms, motion)
         walk = memory_share(BIN_S, CONSTANT_S, self.bins)
         self.mean_terms += walk * (terms - self.mean_terms)
-        self.learned += 1
-        self.learned_terms += (terms - self.learned_terms) / self.learned
         noise = NOISE_PER_SPREAD * np.diagonal(self.spread)
         variance = self.doubt + noise
         most = MOST_SIGMAS * np.sqrt(variance)

@@ -21,7 +21,6 @@ from analysis.detection.actuators.effects import (
     AXES,
     COMMANDS,
     CONSTANT,
-    DOWN,
     FORCE,
     FORWARD_BY_AIRSPEED,
     OUTPUT,
@@ -119,6 +118,8 @@ class ResponseRegression:
     def _add_step(self, signals: Vector, error: Vector, information: Vector, healthy: bool) -> None:
         """Add half a second with the signals and e (AXES,)."""
         change, moved, first = error - self.error, signals - self.signals, self.hypotheses[0]
+        if self.explained[COMMANDS:].max() > max(LEAST_EXPLAINED, self.explained[:COMMANDS].max()):
+            first = int(np.argmax(self.explained))  # a load or pitot tube, even if much is left
         if first != NO_HYPOTHESIS:
             # The hypothesis may explain the past but not this deviation.
             rest = change - self.shares[first] * moved[first]
@@ -157,7 +158,7 @@ class ResponseRegression:
             explained, doubt = shared**2 / own, 0.0
             if i < COMMANDS:
                 effect = model.theta[:, OUTPUT + i].copy()
-                doubt = self._effect_variance(i, model)
+                doubt = self._effect_variance(effect, model.p[:, OUTPUT + i, OUTPUT + i])
                 effect[FORWARD_BY_AIRSPEED] = 0.0
                 along = (effect @ steady) ** 2 / (effect @ information @ effect)
                 held = self.shared[i] ** 2 / self.own[i] + TRIM_VARIANCES * along
@@ -172,17 +173,11 @@ class ResponseRegression:
         if self.learned_steps >= known and self.weight >= LEAST_STEPS:
             self._choose_hypothesis(self.square + float(self.error @ steady))
 
-    def _effect_variance(self, i: int, model: MotionModel) -> float:
+    def _effect_variance(self, effect: Vector, variance: Vector) -> float:
         """The variance of g due to the uncertainty of an actuator's effect."""
-        effect, variance = model.theta[:, OUTPUT + i], model.p[:, OUTPUT + i, OUTPUT + i]
         axis = int(np.argmax(effect**2 / np.diagonal(self.cov)))
-        if effect[axis] == 0.0:
-            return EFFECT_SIGMA**2
-        # Thrust grows with the square of the command, so a throttle's effect is as uncertain as its
-        # command is away from where it was learned.
-        learned = model.learned_terms[OUTPUT + i] if ANGULAR <= axis < DOWN else 0.0
-        moved = -self.signals[i, axis] / effect[axis] / learned - 1.0 if learned > 0.0 else 0.0
-        return EFFECT_SIGMA**2 + float(moved**2 + variance[axis] / effect[axis] ** 2)
+        known = effect[axis] != 0.0
+        return EFFECT_SIGMA**2 + (float(variance[axis] / effect[axis] ** 2) if known else 0.0)
 
     def _choose_hypothesis(self, total: float) -> None:
         """Choose the one that explains most of the `total`, and one that explains as much."""
@@ -210,7 +205,7 @@ class ResponseRegression:
 
 def _signals(terms: Vector, model: MotionModel) -> Vector:
     """The e (HYPOTHESES, AXES) that each hypothesis predicts for g of 1."""
-    scaled, signals = model.scale_by_airspeed(terms), np.zeros((HYPOTHESES, AXES))
+    scaled, signals = model.scale_terms(terms), np.zeros((HYPOTHESES, AXES))
     signals[:COMMANDS] = -(model.theta * scaled)[:, OUTPUT:RATE].T
     if not model.has_airspeed(terms):
         signals[:COMMANDS, FORWARD_BY_AIRSPEED] = 0.0

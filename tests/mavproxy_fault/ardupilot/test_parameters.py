@@ -1,3 +1,5 @@
+import math
+
 import pytest
 
 from mavproxy_fault.ardupilot.parameters import (
@@ -6,6 +8,7 @@ from mavproxy_fault.ardupilot.parameters import (
     check_parameters,
 )
 from mavproxy_fault.documents.errors import ConfigError
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 
 BARE = (400.0, set(), None)
 
@@ -55,3 +58,19 @@ def test_an_estimator_that_reads_the_truth_is_refused():
 
 def test_other_parameters_may_be_set_by_the_user():
     check_parameters({"AHRS_EKF_TYPE": 3.0, "ATC_RAT_RLL_P": 0.2})
+
+
+def test_a_planes_feed_forward_deflects_as_far_as_the_simulated_aerosonde_needs():
+    values = bridge_parameters("plane", *BARE)
+    plane = FixedWing.read("aerosonde-2025")
+    aero, speed_mps, density = plane.aero, values["SCALING_SPEED"], 1.17
+    # Steady rates per deflection, by the moments' balance; in a pull-up, lift turns the path.
+    roll = -2.0 * speed_mps / aero.b * aero.crda / aero.crp
+    lift_mps2 = 0.5 * density * speed_mps**2 * aero.s * aero.cla / plane.parameters.mass_kg
+    pitch = aero.cmde / (aero.cma * speed_mps / lift_mps2 + aero.cmq * aero.c / (2.0 * speed_mps))
+    elevator_rad, aileron_rad, _ = plane.throw_rad
+    full_output_rad = math.radians(45.0)
+    assert values["RLL_RATE_FF"] == pytest.approx(full_output_rad / (roll * aileron_rad), rel=0.05)
+    assert values["PTCH_RATE_FF"] == pytest.approx(
+        full_output_rad / (pitch * elevator_rad), rel=0.05
+    )

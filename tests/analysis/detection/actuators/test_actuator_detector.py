@@ -13,6 +13,8 @@ import pytest
 from analysis.detection.actuators.actuator_detector import ActuatorDetector, _initial_state
 from analysis.detection.actuators.actuator_hypotheses import NO_HYPOTHESIS, ActuatorHypothesis
 from analysis.detection.actuators.alarm_precedence import CRASHED
+from analysis.detection.actuators.effects import FORWARD, OUTPUT, TERMS, THROTTLE
+from analysis.detection.actuators.motion_filter import initial_motion_model
 from analysis.detection.actuators.response_regression import NO_HYPOTHESES
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
@@ -23,9 +25,13 @@ from analysis.run.vehicle_effects import vehicle_effects
 from analysis.samples.block import COMMAND, Block, block_of
 from analysis.samples.decoder import Decoder
 from analysis.samples.sample import CommandSample, GpsFix, ImuSample
+from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.parser import Parser
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
+from simvehicle.vehicles.rigidbody_kernel import P
+from simvehicle.vehicles.vehicle import SURROUNDINGS_SIZE, pack_surroundings
 
 HOVER = str(Path(__file__).parents[4] / "examples" / "hover.yaml")
 IMU_HZ = 100.0
@@ -184,6 +190,26 @@ def test_a_faulty_pitot_tube_is_no_weak_motor(fault: dict[str, Any]) -> None:
 def test_a_wing_at_an_unusual_speed_has_no_strong_motor() -> None:
     """In 28 m/s of air after 24.5: a propeller pulls less there, by more than was learnt."""
     assert not suspected(flown("fixed wing", 30.0, NEVER, seed=107))
+
+
+def test_a_wings_throttle_counts_what_it_pulls() -> None:
+    """From the glide slope to the flare at 21 m/s, where a linear throttle would pull twice as
+    much less, and turn the wing as much more."""
+    scenario = setup_of("fixed wing").scenario
+    effects, plane = vehicle_effects(scenario), FixedWing.read(scenario.vehicle.parameters)
+    model, motions = initial_motion_model(effects), []
+    for throttle in (0.62, 0.0):
+        wind, gravity = np.zeros(3), np.array([0.0, 0.0, STANDARD_GRAVITY_MPS2])
+        around = pack_surroundings(wind, gravity, 1.225, 1e4, np.empty(SURROUNDINGS_SIZE))
+        start = plane.cruise(wind, 0.0, wind, 21.0, 1.225, STANDARD_GRAVITY_MPS2)
+        state, load = plane.advance(start, np.array([0.0, 0.0, 0.0, throttle]), around, 1, 0.005)
+        terms = np.zeros(TERMS)
+        terms[OUTPUT + effects.names.index(THROTTLE)] = throttle
+        predicted = (model.theta * model.scale_terms(terms)).sum(axis=1)
+        motions.append(((state[P] - start[P]) / 0.005, load[0], *predicted[[0, FORWARD]]))
+    roll, pull, predicted_roll, predicted_pull = np.subtract(*motions)
+    assert predicted_pull == pytest.approx(pull, rel=0.15)
+    assert predicted_roll == pytest.approx(roll, rel=0.25)
 
 
 @pytest.mark.parametrize("preset", ["load-shift", "link-poor"])
