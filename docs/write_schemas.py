@@ -5,6 +5,7 @@
 `keys` names the type of each key below `mavfault/v1/{run}/`; the types stand in `$defs`.
 """
 
+import inspect
 import json
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,12 @@ def anything(kind: type) -> dict[str, Any]:
 
 
 def or_null(found: Any) -> Any:
-    """The same schema, with null wherever a number may not be finite: JSON has no word for it."""
+    """The same schema, with null wherever a number may not be finite: JSON has no word for it.
+
+    Texts lose their indentation, as Python 3.13 and later take it from docstrings.
+    """
+    if isinstance(found, str):
+        return inspect.cleandoc(found)
     if isinstance(found, list):
         return [or_null(one) for one in found]
     if not isinstance(found, dict):

@@ -69,7 +69,7 @@ class CampaignPlan:
         if self.campaign.compiled:
             lengths = [s.compiled.get("duration_s", 60.0) for s in self.campaign.scenarios]  # type: ignore[union-attr]
         else:
-            setups = [setup_by_name(self.campaign, name, flown=False) for name in self.scenarios]
+            setups = (setup_by_name(self.campaign, name, flown=False) for name in self.scenarios)
             lengths = [setup.scenario.duration_s for setup in setups]
         return float(sum(lengths) / len(lengths))
 

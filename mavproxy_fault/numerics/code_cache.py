@@ -115,13 +115,13 @@ def kernels() -> Path:
 
 
 @cache
-def module_folders(module: str, source: Path) -> tuple[Path, Path | None]:
-    """The folder of a module's functions, and that in the installation, if this processor can run
-    its code."""
+def module_folders(module: str, source: Path) -> list[tuple[Path, bool]]:
+    """The folder of a module's functions, and that of the installation (True), if this processor
+    can run its code."""
     name = f"{module}-{source_digest(source)}"
     own, ready = kernels() / name, installed() / "kernels" / name
     note_use(own, f"{module}-*")
-    return own, ready if ready.is_dir() and runs_baseline() else None
+    return [(own, False), *([(ready, True)] if ready.is_dir() and runs_baseline() else [])]
 
 
 def note_use(found: Path, others: str) -> None:

@@ -145,10 +145,8 @@ def _at_our_level() -> Iterator[None]:
 def _jitted(function: Function, **options: bool) -> Function:
     """A dispatcher with our cache, which compiles at our level."""
     dispatcher: Any = njit(**_OPTIONS, **options)(function)
-    module = function.__module__
-    folder, ready = module_folders(module, Path(function.__code__.co_filename))
-    own = _Cache(function, folder, installed=False)
-    caches = [own, *([_Cache(function, ready, installed=True)] if ready else [])]
+    module, source = function.__module__, Path(function.__code__.co_filename)
+    caches = [_Cache(function, *folder) for folder in module_folders(module, source)]
     compile_one = dispatcher.compile
 
     def load_or_compile(signature: Any) -> Any:
@@ -157,11 +155,11 @@ def _jitted(function: Function, **options: bool) -> Function:
             if signature not in dispatcher.overloads:
                 codegen = dispatcher.targetctx.codegen()
                 held = next((one for one in caches if one.holds(signature, codegen)), None)
-                dispatcher._cache = held or own
+                dispatcher._cache = held or caches[0]
                 if held is None:
                     # A process that waited here loads the code that the other process compiled.
                     _announce(f"{module}.{function.__name__}")
-                    stack.enter_context(alone(own.lock))
+                    stack.enter_context(alone(caches[0].lock))
             return compile_one(signature)
 
     dispatcher.compile = load_or_compile

@@ -577,7 +577,8 @@ def test_a_wrong_query_is_refused(what: str, payload: object) -> None:
 
 def test_deeply_nested_lists_are_refused() -> None:
     nested = b'{"fault": ' + b"[" * 5000 + b"]" * 5000 + b"}"
-    with pytest.raises(ConfigError, match="send JSON"):
+    # Python 3.14 reads them, and then they are no fault.
+    with pytest.raises(ConfigError, match=r"send JSON|does not fit"):
         control().answer("mavfault/v1/live/@ctl/fault/a/arm", nested, 5_000_000)
 
 
