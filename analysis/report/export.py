@@ -43,7 +43,9 @@ def export_tables(paths: Sequence[Path], folder: Path, form: str, recording: Fli
             _write_mcap(target / f"{path.stem}.mcap", path, recording)
             continue
         if form == "rerun":
-            write_rerun(target / f"{path.stem}.rrd", recording, _timed_tables(path))
+            tables = read_tables(path, with_results=False)
+            timed = ((name, _stamps_ns(table), table) for name, table in tables)
+            write_rerun(target / f"{path.stem}.rrd", recording, timed)
             continue
         for name, table in read_tables(path):
             if form == "csv":
@@ -68,13 +70,6 @@ def read_tables(path: Path, *, with_results: bool = True) -> Iterator[tuple[str,
         return
     for name, rows in tlog.read_columns(path).items():
         yield name, _flat(rows)
-
-
-def _timed_tables(path: Path) -> Iterator[tuple[str, Table]]:
-    """The messages with a time, which is their column `t_us`."""
-    for name, table in read_tables(path, with_results=False):
-        if time := next((key for key in TIMES if key in table), None):
-            yield name, {"t_us": table.pop(time), **table}
 
 
 def _flat(rows: NDArray[np.void]) -> Table:
