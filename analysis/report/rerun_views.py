@@ -60,8 +60,8 @@ def write_rerun(
         events = recording.events
         lines = rr.TextLog.columns(text=[f"{event.kind}: {event.text}" for event in events])
         send(["log"], np.array([event.t_s for event in events]), lines)
-        faults = [s.text for s in recording.spans if s.kind == "injected"]
-        first = next((f for f in faults if "." in f), "").rpartition(" ")[2]
+        targets = [s.text.partition(" on ")[2] for s in recording.spans if s.kind == "injected"]
+        first = next((one.partition(",")[0] for one in targets if "." in one), "")
         beside = views.TimeSeriesView(origin=f"/messages/{first.replace('.', '/')}", name=first)
         test = views.TimeSeriesView(origin="/curves/fdi-statistic", name="the monitor's test")
         above = [views.MapView(origin="/map"), views.Spatial3DView(origin="/space")]
