@@ -18,7 +18,7 @@ AXIS_M = 5.0  # chosen: of the axes that show the attitude
 def write_rerun(
     path: Path,
     recording: FlightData,
-    tables: Iterable[tuple[str, list[int], dict[str, NDArray[Any]]]],
+    tables: Iterable[tuple[str, NDArray[np.int64], dict[str, NDArray[Any]]]],
 ) -> None:
     """Write a recording for Rerun; `tables` are the messages: name, times in ns, columns."""
     rr, views = import_extra("rerun"), import_extra("rerun.blueprint")
@@ -46,7 +46,7 @@ def write_rerun(
             send(["curves", panel, name], t_s, rr.Scalars.columns(scalars=value))
         for name, stamps_ns, table in tables:
             side, _, message = name.rpartition(".")
-            since_s = (np.array(stamps_ns) - recording.t0_us * 1000) * 1e-9
+            since_s = (stamps_ns - recording.t0_us * 1000) * 1e-9
             for column, values in table.items():
                 if values.dtype.kind in "biuf" and len(values):
                     # The viewer holds a value until the next one.
