@@ -43,7 +43,7 @@ def export_tables(paths: Sequence[Path], folder: Path, form: str, recording: Fli
             _write_mcap(target / f"{path.stem}.mcap", path, recording)
             continue
         if form == "rerun":
-            write_rerun(target / f"{path.stem}.rrd", recording, _timed_tables(path))
+            write_rerun(target / f"{path.stem}.rrd", recording, _timed_tables(path, recording))
             continue
         for name, table in read_tables(path):
             if form == "csv":
@@ -68,13 +68,6 @@ def read_tables(path: Path, *, with_results: bool = True) -> Iterator[tuple[str,
         return
     for name, rows in tlog.read_columns(path).items():
         yield name, _flat(rows)
-
-
-def _timed_tables(path: Path) -> Iterator[tuple[str, Table]]:
-    """The messages with a time, which is their column `t_us`."""
-    for name, table in read_tables(path, with_results=False):
-        if time := next((key for key in TIMES if key in table), None):
-            yield name, {"t_us": table.pop(time), **table}
 
 
 def _flat(rows: NDArray[np.void]) -> Table:
@@ -146,10 +139,10 @@ def _write_mcap(path: Path, log: Path, recording: FlightData) -> None:
 
     with foxglove.open_mcap(path, allow_overwrite=True, context=context):
         write_views(recording, context)
-        for name, table in read_tables(log, with_results=False):
+        for name, stamps_ns, table in _timed_tables(log, recording):
             kinds = {column: {"type": _json_type(values)} for column, values in table.items()}
             rows = channel(f"/{name}", {"properties": kinds})
-            for stamp, row in zip(_stamps_ns(table), _json_rows(table), strict=True):
+            for stamp, row in zip(stamps_ns, _json_rows(table), strict=True):
                 rows.log(row, log_time=stamp)
         topics: dict[str, Any] = {}
         path = log / "results.jsonl"
@@ -160,14 +153,27 @@ def _write_mcap(path: Path, log: Path, recording: FlightData) -> None:
             topics[kind].log(encode(result), log_time=max(result.t_us, 0) * 1000)
 
 
-def _stamps_ns(table: Table) -> list[int]:
-    """Return the rows' times; tables without a time (parameters, formats) are at zero."""
-    time = next((table[key] for key in TIMES if key in table), None)
-    if time is None:
-        return [0] * len(next(iter(table.values()), ()))
-    # MCAP's times are unsigned.
-    stamps: list[int] = (time.astype(np.int64).clip(0) * 1000).tolist()
-    return stamps
+def _timed_tables(
+    path: Path, recording: FlightData
+) -> Iterator[tuple[str, NDArray[np.int64], Table]]:
+    """Yield the messages with the times of their rows [ns] on the vehicle's clock.
+
+    A tlog's times are those of the computer that wrote it. Tables without a time (parameters,
+    formats) are at zero.
+    """
+    timed, offset_ns, most = [], 0, 0
+    for name, table in read_tables(path, with_results=False):
+        time = next((table[key] for key in TIMES if key in table), None)
+        rows = len(next(iter(table.values()), ()))
+        stamps_ns = np.zeros(rows, np.int64) if time is None else time.astype(np.int64) * 1000
+        timed.append((name, stamps_ns, table))
+        known = recording.messages.get(name.rpartition(".")[2])
+        if known is not None and len(known.t_s) == rows > most:
+            vehicle_ns = recording.t0_us * 1000 + np.round(known.t_s * 1e9).astype(np.int64)
+            most, offset_ns = rows, int(np.sort(stamps_ns - vehicle_ns)[rows // 2])
+    for name, stamps_ns, table in timed:
+        # MCAP's times are unsigned.
+        yield name, (stamps_ns - offset_ns).clip(0), table
 
 
 def _json_rows(table: Table) -> Iterator[dict[str, Any]]:

@@ -1,10 +1,4 @@
-"""A flight for the Rerun viewer [1]_, on the report's time axis.
-
-The map, the path and attitude in space, every number of the messages before and after the faults
-side by side, the report's curves, its timeline with the faults, and the events.
-
-.. [1] https://rerun.io/docs
-"""
+"""A flight for the viewer Rerun (https://rerun.io/docs), on the report's time axis."""
 
 from collections.abc import Iterable, Sequence
 from itertools import groupby
@@ -19,14 +13,14 @@ from analysis.report.foxglove_views import attitudes, local_places
 from mavproxy_fault.documents.extras import import_extra
 
 AXIS_M = 5.0  # chosen: of the axes that show the attitude
-# By MAVLink's severity; what has none is information.
-LEVELS = ("CRITICAL",) * 3 + ("ERROR", "WARN", "INFO", "INFO", "DEBUG", "INFO")
 
 
 def write_rerun(
-    path: Path, recording: FlightData, tables: Iterable[tuple[str, dict[str, NDArray[Any]]]]
+    path: Path,
+    recording: FlightData,
+    tables: Iterable[tuple[str, NDArray[np.int64], dict[str, NDArray[Any]]]],
 ) -> None:
-    """Write a recording for Rerun; `tables` are the messages, with their times as `t_us`."""
+    """Write a recording for Rerun; `tables` are the messages: name, times in ns, columns."""
     rr, views = import_extra("rerun"), import_extra("rerun.blueprint")
     with rr.RecordingStream("mavproxy-fault", recording_id=recording.name) as stream:
         stream.save(path)
@@ -50,11 +44,11 @@ def write_rerun(
             stream.log(rr.new_entity_path(["space", name, "body"]), axes, static=True)
         for panel, name, t_s, value in recording.signals:
             send(["curves", panel, name], t_s, rr.Scalars.columns(scalars=value))
-        for name, table in tables:
+        for name, stamps_ns, table in tables:
             side, _, message = name.rpartition(".")
-            since_s = (table["t_us"].astype(np.int64) - recording.t0_us) * 1e-6
+            since_s = (stamps_ns - recording.t0_us * 1000) * 1e-9
             for column, values in table.items():
-                if values.dtype.kind in "biuf" and len(values) and column != "t_us":
+                if values.dtype.kind in "biuf" and len(values):
                     # The viewer holds a value until the next one.
                     kept = slice(None if (values != values[0]).any() else 1)
                     numbers = rr.Scalars.columns(scalars=values[kept].astype(np.float64))
@@ -64,13 +58,10 @@ def write_rerun(
             states = rr.StateChange.columns(state=[text for _, text in ends])
             send(["timeline", lane], np.array([at_s for at_s, _ in ends]), states)
         events = recording.events
-        lines = rr.TextLog.columns(
-            text=[f"{event.kind}: {event.text}" for event in events],
-            level=[LEVELS[event.severity] for event in events],
-        )
+        lines = rr.TextLog.columns(text=[f"{event.kind}: {event.text}" for event in events])
         send(["log"], np.array([event.t_s for event in events]), lines)
-        faults = [s.text for s in recording.spans if s.kind == "injected"]
-        first = next((f for f in faults if "." in f), "").rpartition(" ")[2]
+        targets = [s.text.partition(" on ")[2] for s in recording.spans if s.kind == "injected"]
+        first = next((one.partition(",")[0] for one in targets if "." in one), "")
         beside = views.TimeSeriesView(origin=f"/messages/{first.replace('.', '/')}", name=first)
         test = views.TimeSeriesView(origin="/curves/fdi-statistic", name="the monitor's test")
         above = [views.MapView(origin="/map"), views.Spatial3DView(origin="/space")]

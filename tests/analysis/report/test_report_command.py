@@ -125,8 +125,21 @@ def test_csv_parquet_and_mcap_hold_the_same_rows(flight: Flight, tmp_path: Path)
             (message.log_time, json.loads(message.data))
             for _, _, message in make_reader(file).iter_messages(topics=["/ATTITUDE"])
         ]
-    assert [stamp for stamp, _ in messages] == (rows["t_us"] * 1000).tolist()
+    stamps = np.array([stamp for stamp, _ in messages])
+    assert np.diff(stamps).tolist() == (np.diff(rows["t_us"]) * 1000).tolist()
     assert [values["yaw"] for _, values in messages] == rows["yaw"].tolist()
+
+
+def test_messages_of_a_tlog_are_on_the_clock_of_positions_and_results(
+    flight: Flight, tmp_path: Path
+) -> None:
+    assert tlog.read_columns(flight())["ATTITUDE"]["t_us"][0] > 10**15  # the computer's, not so
+    report(flight(), "--export", "mcap", "--out", tmp_path / "out")
+    with (tmp_path / "out" / "export" / "flight.mcap").open("rb") as file:
+        first: dict[str, int] = {}
+        for _, channel, message in make_reader(file).iter_messages():
+            first.setdefault(channel.topic, message.log_time)
+    assert abs(first["/ATTITUDE"] - first["/pose/attitude"]) < 10**6
 
 
 def test_foxglove_reads_positions_transforms_and_events_by_its_own_schemas(
