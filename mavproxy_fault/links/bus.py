@@ -349,13 +349,7 @@ def join_bus(choice: str, run: str, config_file: str = "", *, without: str) -> B
 def open_run_bus(
     choice: str, run: str, component: str = "run", config_file: str = ""
 ) -> Iterator[Bus | None]:
-    """Open the bus of a run, as `join_bus` does, and close it at the end.
-
-    Raises
-    ------
-    ConfigError
-        As `join_bus`.
-    """
+    """Open the bus of a run, as `join_bus` does, and close it at the end."""
     bus = join_bus(choice, run, config_file, without="nothing is published")
     if bus is None:
         yield None
