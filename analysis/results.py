@@ -9,6 +9,7 @@ from pathlib import Path
 
 import msgspec
 
+FOREVER_US = 1 << 62  # later than any stamp, without overflow in sums
 OR_SEPARATOR = "-or-"  # joins hypotheses that a detector cannot distinguish
 
 

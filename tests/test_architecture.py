@@ -103,9 +103,10 @@ def is_number(value: ast.expr | None) -> bool:
     return bool(literals) and numeric and all(isinstance(node, NUMBERS) for node in nodes)
 
 
-def test_every_number_of_a_detector_states_its_source() -> None:
+@pytest.mark.parametrize("room", ["detection", "monitor", "scoring"])
+def test_every_number_of_a_detector_states_its_source(room: str) -> None:
     silent = []
-    for path in (ROOT / "analysis" / "detection").rglob("*.py"):
+    for path in (ROOT / "analysis" / room).rglob("*.py"):
         lines = path.read_text(encoding="utf-8").splitlines()
         for node in ast.parse("\n".join(lines)).body:
             if isinstance(node, ast.Assign | ast.AnnAssign) and is_number(node.value):

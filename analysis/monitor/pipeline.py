@@ -13,7 +13,7 @@ import numpy as np
 
 from analysis.detection import DetectorConfig
 from analysis.detection.actuators.actuator_detector import ActuatorDetector
-from analysis.detection.actuators.alarm_precedence import FOREVER_US, AlarmPrecedence
+from analysis.detection.actuators.alarm_precedence import AlarmPrecedence
 from analysis.detection.actuators.effects import Effects, unknown_effects
 from analysis.detection.actuators.imu_hold_out import hold_out_until, trusted_rows, withdraw_silence
 from analysis.detection.actuators.tumble import TumbleState, track_tumble
@@ -29,7 +29,7 @@ from analysis.detection.streams.pause_filter import PauseState, drop_log_gaps, t
 from analysis.detection.streams.stream_detector import StreamDetector
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.monitor.filter_step import FilterStep
-from analysis.results import Result, SensorDecision
+from analysis.results import FOREVER_US, Result, SensorDecision
 from analysis.samples.block import NEVER_US, Block, block_of
 from analysis.samples.sample import Sample
 from analysis.scoring.attitude_scores import put_repeaters_last

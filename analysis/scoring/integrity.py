@@ -12,7 +12,7 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 
 ALERT_LIMITS_M = {"horizontal": 40.0, "vertical": 50.0}  # ICAO annex 10, approach APV-I
-ERROR, LEVEL = 0, 1
+ERROR, LEVEL = 0, 1  # columns of a row
 
 
 class Integrity:

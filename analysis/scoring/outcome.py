@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from analysis.detection.actuators.alarm_precedence import FOREVER_US
-from analysis.results import OR_SEPARATOR
+from analysis.results import FOREVER_US, OR_SEPARATOR
 from analysis.scoring.alarm_windows import AlarmWindow, subtract_intervals
 from analysis.scoring.fault_channels import (
     HARMLESS_FAULTS,

@@ -9,8 +9,8 @@ from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.earth import geodetic_from_ecef, rot_en
 
 HORIZONTAL, VERTICAL, LENGTH, OVER_SIGMA = range(4)
-COLUMNS = 4
-PERCENTILES = (50, 95)
+COLUMNS = 4  # these
+PERCENTILES = (50, 95)  # as receivers' data sheets and the GPS standard state accuracies
 UNKNOWN = (np.nan, np.nan, np.nan)  # a position, or its sigma
 
 

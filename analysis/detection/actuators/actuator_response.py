@@ -20,13 +20,14 @@ from analysis.detection.actuators.actuator_hypotheses import (
     ActuatorHypothesis,
     find_hypothesis,
 )
-from analysis.detection.actuators.alarm_precedence import FOREVER_US, IMPACT_MPS2
+from analysis.detection.actuators.alarm_precedence import IMPACT_MPS2
 from analysis.detection.actuators.effects import COMMANDS, FORCE, OUTPUT, RATE, Effects
 from analysis.detection.actuators.motion_bins import AIR_LASTS_US, MotionBins
 from analysis.detection.actuators.motion_filter import MotionModel
 from analysis.detection.actuators.motor_imbalance import MOTOR_COUNT, MotorTrim
 from analysis.detection.actuators.response_regression import NO_HYPOTHESES, ResponseRegression
 from analysis.detection.actuators.switched_off import OutputStates
+from analysis.results import FOREVER_US
 from analysis.samples.block import (
     AIRSPEED,
     COMMAND,

@@ -15,7 +15,6 @@ ACTUATORS = "actuators"  # their `sensor` in results
 # After a sensor was isolated, or the attitude was lost: the time for which the sensor is held out
 # (10 s, `imu_hold_s`), and that to find the attitude and learn the model again.
 RELEARNED_US = 20_000_000
-FOREVER_US = 1 << 62  # later than any stamp
 IMPACT_MPS2 = 100.0  # 10 g: more than any manoeuvre
 CRASHED = "after a crash"
 TUMBLING = "turns faster than the gyro's range"

@@ -10,12 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.actuators.alarm_precedence import (
-    FOREVER_US,
-    IMPACT_MPS2,
-    RELEARNED_US,
-)
+from analysis.detection.actuators.alarm_precedence import IMPACT_MPS2, RELEARNED_US
 from analysis.detection.compass.compass_samples import ZERO, Axis, compass_samples, dot
+from analysis.results import FOREVER_US
 from analysis.samples.block import IMU, MAG, NEVER_US, Block
 
 # The smallest range of common gyros is 250 degrees/s (4.36 rad/s), a little less if calibrated.

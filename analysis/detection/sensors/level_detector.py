@@ -7,12 +7,7 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 from analysis.detection.compass.compass_samples import ZERO, Axis, compass_samples
-from analysis.detection.detector_registry import (
-    REPEAT_US,
-    USUAL_US,
-    BlockDetector,
-    RowResults,
-)
+from analysis.detection.detector_registry import REPEAT_US, USUAL_US, BlockDetector, RowResults
 from analysis.detection.streams.stream_times import FIX_SOURCE, accepts_source
 from analysis.results import pattern_alarm
 from analysis.samples.block import FIX_3D, FIX_TYPE, IMU, MAG, NEVER_US, Block

@@ -11,10 +11,10 @@ from typing import Any
 
 import msgspec
 
-from analysis.detection.actuators.alarm_precedence import FOREVER_US
 from analysis.report.curves.recording import Event, FlightData
 from analysis.report.judging.autopilot_texts import is_alarming
 from analysis.report.judging.checks import FlightCheck
+from analysis.results import FOREVER_US
 from analysis.scoring.alarm_windows import AlarmWindow
 from analysis.scoring.fault_channels import fault_visibility
 from analysis.scoring.outcome import MISSED, NOT_JUDGED, FaultOutcome, fault_outcomes

@@ -5,7 +5,6 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from analysis.detection.actuators.alarm_precedence import FOREVER_US
 from analysis.report.curves.fused_curves import AXES, FUSED
 from analysis.report.curves.recording import (
     Event,
@@ -16,7 +15,7 @@ from analysis.report.curves.recording import (
     true_runs,
     value_spans,
 )
-from analysis.results import AttitudeError, Decision, FusedState, Result, SensorDecision
+from analysis.results import FOREVER_US, AttitudeError, Decision, FusedState, Result, SensorDecision
 from analysis.scoring.outcome import RECOVERY_S
 from mavproxy_fault.numerics import earth
 from mavproxy_fault.wire.label import Label

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from analysis.detection.actuators.alarm_precedence import FOREVER_US, AlarmPrecedence
-from analysis.results import Decision, Result, SensorDecision, pattern_alarm
+from analysis.detection.actuators.alarm_precedence import AlarmPrecedence
+from analysis.results import FOREVER_US, Decision, Result, SensorDecision, pattern_alarm
 from analysis.samples.block import NEVER_US
 
 S = 1_000_000
