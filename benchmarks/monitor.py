@@ -143,7 +143,7 @@ def command(log: Path, scenario: Path) -> None:
     with tempfile.TemporaryDirectory() as folder:
         short = Path(folder) / "short.tlog"
         records = ((t_us, raw) for t_us, raw, _ in islice(read_records(log), SHORT_FRAMES))
-        tlog.write_log(short, records)
+        short.write_bytes(b"".join(tlog.log_record(*record) for record in records))
         runs = {
             "a second of it: start-up": [str(short)],
             "no files": [str(log)],

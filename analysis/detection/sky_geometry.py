@@ -31,7 +31,6 @@ from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 
 NO_IONOSPHERE = np.zeros(8)  # only directions are needed
 AT_REST = np.zeros(3)
-Dilution = tuple[float | None, float | None]
 
 
 class RecordedSky:

@@ -40,7 +40,6 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import (
 
 Nine = tuple[float, float, float, float, float, float, float, float, float]
 Three = tuple[float, float, float]
-VELOCITY, POSITION = 3, 6  # offsets in the nine states, after the angles
 NINE, BEFORE = 4, 13  # offsets in x (19,), after q_nb: the nine states, the last IMU sample
 MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at a pitch of 90 degrees
 

@@ -19,6 +19,7 @@ from analysis.detection.actuators.effects import (
     FORWARD_BY_AIRSPEED,
     OUTPUT,
     RATE,
+    SMALL_SHARE,
     TERMS,
     THROTTLE,
     Effects,
@@ -40,7 +41,6 @@ HEIGHT_M = 100.0  # free of ground contact
 # Small against manoeuvres, large against rounding; chosen
 COMMAND_STEP, RATE_STEP_RPS, SPEED_STEP_MPS = 0.05, 0.05, 0.5
 HALVINGS, LEVELS = 12, 11
-LEAST_SLOPE_SHARE = 0.02  # of the largest, chosen: below it an effect is taken as linear
 FORCE_X, FORCE_Y, FORCE_Z = range(ANGULAR, 6)  # after the angular accelerations
 BODY_AXES = 6
 MIN_WING_HZ = 0.1  # m/s^2 per m/s of cross flow; chosen: below it the vehicle has no wing
@@ -80,13 +80,12 @@ class _TrimmedVehicle:
         return max(float((1.0 - rise @ rise[-1] / total).sum() * STEP_S), 0.0)
 
     def throttle_counts(self, number: int, rows: list[int], slopes: Array) -> Array:
-        """Return what the throttle's commands from 0 to 1 count on some axes (n, LEVELS) with
-        these `slopes` (n,)."""
+        """Return what commands from 0 to 1 count on the axes (n, LEVELS) of `slopes` (n,)."""
         levels, commands = np.linspace(0.0, 1.0, LEVELS), self.trim.copy()
         moved = np.empty((len(rows), LEVELS))
         for i, commands[number] in enumerate(levels):
             moved[:, i] = self.motion(commands, np.zeros(RIGID_SIZE))[rows]
-        known = (np.abs(slopes) > LEAST_SLOPE_SHARE * np.abs(slopes).max())[:, None]
+        known = (np.abs(slopes) > SMALL_SHARE * np.abs(slopes).max())[:, None]
         slope = np.where(known, slopes[:, None], 1.0)
         return np.where(known, (moved - moved[:, :1]) / slope, levels)
 

@@ -45,7 +45,9 @@ BLOW, ENDED_TILTED = "blow", "ended tilted by"
 FALL_MPS2 = 1.5 * STANDARD_GRAVITY_MPS2  # a datum that steps "falls" faster than any vehicle
 FALL_STEPS = 3  # over these many steps
 COMMAND_S = 3.0  # in which a mode follows its command: three of the heartbeats that report it
-REASON_S = 2.0  # in which an autopilot explains a change of mode: two of these heartbeats
+# In which an autopilot explains a change of mode: two of its heartbeats, which show a mode late;
+# what it says after the heartbeat explains what follows
+REASON_S, LATE_REASON_S = 2.0, 0.5
 # None matches a setting ("Crash check disabled"), the end of a failsafe, or PX4's mere warning.
 CRASH_TEXT = re.compile(r"\bcrash(:|ed\b| detected| check\b(?!.*(dis|en)abled))", re.IGNORECASE)
 # ArduPilot's simulator reports every touchdown, with its speed.
@@ -385,8 +387,10 @@ def find_failsafes(record: VehicleRecord, acting: tuple[float, float]) -> list[V
             continue
         if _is_near(mode.t_s, record.commands or (), -COMMAND_S, 0.1):
             continue
-        reasons = [text for text in said if abs(text.t_s - mode.t_s) <= REASON_S]
-        own = [text for text in record.expelled if abs(text.t_s - mode.t_s) <= REASON_S]
+        reasons, own = (
+            [text for text in texts if -REASON_S <= text.t_s - mode.t_s <= LATE_REASON_S]
+            for texts in (said, record.expelled)
+        )
         # Without a record of commands only the autopilot's texts separate failsafes from commands.
         unasked = record.commands is not None and mode.text in SAFETY_MODES
         if reasons or own or unasked:

@@ -4,7 +4,7 @@ ArduPilot's quad X has the motor order of PX4's `none_iris`: front right, rear l
 rear right. The first four outputs of a plane are aileron, elevator, throttle and rudder.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import build_frame
@@ -16,8 +16,6 @@ MODE_ENABLED, MODE_ARMED = 1, 128  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, _SAFETY_
 FLAG_LOCKSTEP = 1
 LOW_US, MIDDLE_US, SPAN_US = 1000, 1500, 1000
 RUDDER, THROTTLE, LEFT_AILERON, RIGHT_AILERON, ELEVATOR = 2, 4, 5, 6, 7
-
-Channels = Callable[[Sequence[int]], list[float]]
 
 
 def motor_channels(pwm_us: Sequence[int]) -> list[float]:

@@ -73,8 +73,7 @@ KIND_PARAMETERS: dict[VehicleKind, dict[str, float]] = {
         "TRIM_THROTTLE": 40,
         "THR_MAX": 100,
         "TKOFF_ROTATE_SPD": 22,
-        # feed-forward at the cruise speed: 45 degrees of output is the full throw, which turns the
-        # aerosonde at 144 (roll) and 37 degrees a second (pitch); the integral trims it in 1 s
+        # 45 degrees of output, the full throw, roll it at 144 and pitch it at 37 degrees a second
         "SCALING_SPEED": 25,
         "RLL_RATE_FF": 0.31,
         "RLL_RATE_I": 0.31,

@@ -11,7 +11,7 @@ one block, whatever the size of the file.
 
 import mmap
 import struct
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -344,10 +344,3 @@ def read_frames(path: str | Path) -> Iterator[tuple[int, Frame]]:
 def log_record(t_us: int, frame: bytes) -> bytes:
     """Encode one record of a tlog."""
     return struct.pack(">Q", t_us) + frame
-
-
-def write_log(path: str | Path, frames: Iterable[tuple[int, bytes]]) -> None:
-    """Write timestamps (microseconds) and frames as a tlog."""
-    with Path(path).open("wb") as file:
-        for t_us, frame in frames:
-            file.write(log_record(t_us, frame))

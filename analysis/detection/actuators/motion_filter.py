@@ -98,11 +98,10 @@ class MotionModel:
         """The terms (AXES, TERMS) of each axis, scaled by the airspeed where it is known."""
         scaled = np.tile(terms, (AXES, 1))
         scaled[DOWN, FORCE:] = 0.0
-        if self.effects.throttle is not None:
+        if (counts := self.effects.throttle) is not None:
             column = OUTPUT + self.effects.names.index(THROTTLE)
-            levels = np.linspace(0.0, 1.0, self.effects.throttle.shape[1])
-            counts = [np.interp(terms[column], levels, axis) for axis in self.effects.throttle]
-            scaled[:, column] = counts
+            levels = np.linspace(0.0, 1.0, counts.shape[1])
+            scaled[:, column] = [np.interp(terms[column], levels, axis) for axis in counts]
         if terms[AIRSPEED] > 0.0:
             scaled[:ANGULAR] *= (terms[AIRSPEED] / self.effects.cruise_mps) ** self.effects.powers
         return scaled

@@ -158,7 +158,9 @@ class ResponseRegression:
             explained, doubt = shared**2 / own, 0.0
             if i < COMMANDS:
                 effect = model.theta[:, OUTPUT + i].copy()
-                doubt = self._effect_variance(effect, model.p[:, OUTPUT + i, OUTPUT + i])
+                axis = int(np.argmax(effect**2 / np.diagonal(self.cov)))
+                variance = float(model.p[axis, OUTPUT + i, OUTPUT + i])
+                doubt = EFFECT_SIGMA**2 + variance / effect[axis] ** 2
                 effect[FORWARD_BY_AIRSPEED] = 0.0
                 along = (effect @ steady) ** 2 / (effect @ information @ effect)
                 held = self.shared[i] ** 2 / self.own[i] + TRIM_VARIANCES * along
@@ -172,12 +174,6 @@ class ResponseRegression:
         known = UNKNOWN_LEARNED_STEPS if unknown else LEARNED_STEPS
         if self.learned_steps >= known and self.weight >= LEAST_STEPS:
             self._choose_hypothesis(self.square + float(self.error @ steady))
-
-    def _effect_variance(self, effect: Vector, variance: Vector) -> float:
-        """The variance of g due to the uncertainty of an actuator's effect."""
-        axis = int(np.argmax(effect**2 / np.diagonal(self.cov)))
-        known = effect[axis] != 0.0
-        return EFFECT_SIGMA**2 + (float(variance[axis] / effect[axis] ** 2) if known else 0.0)
 
     def _choose_hypothesis(self, total: float) -> None:
         """Choose the one that explains most of the `total`, and one that explains as much."""

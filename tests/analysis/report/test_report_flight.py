@@ -271,7 +271,7 @@ def test_labels_continue_over_a_restart_of_the_vehicle(flight: Flight, tmp_path:
     records = [(t_us, raw) for t_us, raw, _ in tlog.read_records(first)]
     records += [(t_us + 50_000_000, raw) for t_us, raw, _ in tlog.read_records(second)]
     path = tmp_path / "both.tlog"
-    tlog.write_log(path, records)
+    path.write_bytes(b"".join(tlog.log_record(*record) for record in records))
     label = jump(recorded=True, start_us=30_700_000, end_us=40_800_000)
     assert fault_rows(outcome(path, label)) == {"jump": ("isolated", "")}
 

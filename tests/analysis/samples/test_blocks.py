@@ -72,14 +72,14 @@ def test_single_frames_give_the_same_samples(frames, at_once):
 
 def test_a_log_of_the_stream_gives_the_same_samples(frames, at_once, tmp_path: Path):
     path = tmp_path / "flight.tlog"
-    tlog.write_log(path, ((1_700_000_000_000_000, frame) for frame in frames))
+    path.write_bytes(b"".join(tlog.log_record(1_700_000_000_000_000, frame) for frame in frames))
     monitor = Monitor(config())
     assert lines([result for block in read_log(path) for result in monitor.push(block)]) == at_once
 
 
 def test_a_block_gives_back_the_samples_it_was_made_of(frames, tmp_path: Path):
     path = tmp_path / "flight.tlog"
-    tlog.write_log(path, ((0, frame) for frame in frames))
+    path.write_bytes(b"".join(tlog.log_record(0, frame) for frame in frames))
     (block,) = read_log(path)
     again = block_of(block.samples())
     assert (again.kind == block.kind).all()

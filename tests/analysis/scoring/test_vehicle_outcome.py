@@ -151,6 +151,10 @@ def test_the_end_of_a_take_off_or_a_mission_is_no_failsafe() -> None:
     modes = [TimedText(4.0 + 8.0 * n, name) for n, name in enumerate(names)]
     commands = [TimedText(3.9, "TAKEOFF"), TimedText(19.0, "mission"), TimedText(35.9, "LAND")]
     assert flight(modes=modes, commands=commands).outcome == "landed as commanded"
+    # Words behind it are those of a failsafe that keeps the mode.
+    held = [TimedText(13.3, "Failsafe activated: entering Hold for 5 seconds")]
+    found = flight(modes=modes, commands=commands, texts=held)
+    assert (found.outcome, found.failsafe, found.failsafe_s) == ("failsafe", "LOITER", 13.3)
 
 
 def test_a_landing_that_nobody_commanded_is_named() -> None:

@@ -33,7 +33,7 @@ def stamped(raw_frames: list[bytes], first_us: int = NOON_US) -> list[tuple[int,
 
 def written(path: Path, data: bytes | list[tuple[int, bytes]]) -> Path:
     if isinstance(data, list):
-        tlog.write_log(path, data)
+        path.write_bytes(b"".join(tlog.log_record(*record) for record in data))
     else:
         path.write_bytes(data)
     return path
