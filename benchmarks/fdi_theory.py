@@ -166,7 +166,8 @@ def ramp_run(slope: float, onset: int, epochs: int, threshold: float) -> tuple[i
         if t - starts.max() >= STRIDE_S:
             w = int(starts.argmin())
             starts[w], d[:, w], sums[:, w] = t, 0.0, 0.0
-        respond(windows, t - starts, normal_equations_over(states, h, ones, v), after, True)
+        normal = normal_equations_over(states, h, ones, v, ones)
+        respond(windows, t - starts, normal, after, after[states], True)
         old = np.flatnonzero(t - starts >= YOUNGEST_S).tolist()
         if any(ramp_ratio(windows, w, i, 0.0) > threshold for w in old for i in range(count)):
             if k >= onset:

@@ -13,14 +13,14 @@ from analysis.samples.sample import Vector
 
 
 class EpochUpdate(NamedTuple):
-    """The filter after an epoch, the ranges and rates that it used, and the columns P+_:c (20, c)
-    of its covariance after each."""
+    """The filter after an epoch, the ranges and rates that it used, and P+_:c T (20, c) and F
+    (c, c) of each."""
 
     motion: MotionEstimate
     ranges: NormalEquations
-    after_ranges: Vector
+    after_ranges: tuple[Vector, Vector]
     rates: NormalEquations
-    after_rates: Vector
+    after_rates: tuple[Vector, Vector]
 
 
 def update_filter(

@@ -2,7 +2,7 @@
 
 Ranges observe position, clock and the systems' offsets, Doppler rates velocity and drift: c states
 each, 4 to 7 of 20. The equations, the Kalman update by the matrix inversion lemma [1]_ without any
-inverse of size n, are in docs/fdi.md, "Filter"; N, b, Y and P+ are theirs.
+inverse of size n, are in docs/fdi.md, "Filter"; N, b, E, T, F, Y and P+ are theirs.
 
 References
 ----------
@@ -23,13 +23,17 @@ from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_in_referenc
 
 Indices = NDArray[np.int64]
 RATE_STATES = np.array([V, V + 1, V + 2, DRIFT])
+VAGUE_INFORMATION = 1e-4  # 1/m^2, 100 m: of what no measurement observes
+# Measurements for each state: a snapshot of fewer follows lasting errors further than the filter.
+LEAST_REDUNDANCY = 2
 
 
 class NormalEquations(NamedTuple):
     """n measurements as normal equations over the c states that they observe.
 
     `states` (c,) are those states, `a` (n, c) the geometry over them, `variance` and `v` (n,) noise
-    and innovations; `information` (c, c) is N, `b` (c,) is b, and `total` v' inv(R) v.
+    and innovations; `information` (c, c) is N, `b` (c,) is b, and `total` v' inv(R) v. `white`
+    (c, c) is inv(E) where a part of the noise lasts, and empty where all of it counts as white.
     """
 
     states: Indices
@@ -39,12 +43,13 @@ class NormalEquations(NamedTuple):
     information: Vector
     b: Vector
     total: float
+    white: Vector
 
 
 @compiled
-def normal_equations(h: Vector, variance: Vector, v: Vector) -> NormalEquations:
-    """Normal equations of innovations v (n,) with variance (n,) and geometry h (n, 20), over the
-    states that they observe."""
+def normal_equations(h: Vector, variance: Vector, v: Vector, white: Vector) -> NormalEquations:
+    """Normal equations of innovations v (n,) with variance (n,), of which `white` (n,) is white,
+    and geometry h (n, 20), over the states that they observe."""
     states, a, count = np.empty(h.shape[1], np.int64), np.empty((h.shape[0], h.shape[1])), 0
     for j in range(h.shape[1]):
         observed = False
@@ -54,24 +59,29 @@ def normal_equations(h: Vector, variance: Vector, v: Vector) -> NormalEquations:
         if observed:
             states[count] = j
             count += 1
-    return normal_equations_over(states[:count], a[:, :count].copy(), variance, v)
+    return normal_equations_over(states[:count], a[:, :count].copy(), variance, v, white)
 
 
 @compiled
 def normal_equations_over(
-    states: Indices, a: Vector, variance: Vector, v: Vector
+    states: Indices, a: Vector, variance: Vector, v: Vector, white: Vector
 ) -> NormalEquations:
     """Normal equations of innovations with geometry a (n, c) over the states `states` (c,)."""
-    count = a.shape[1]
+    count, lasts = a.shape[1], False
     information, b, total = np.zeros((count, count)), np.zeros(count), 0.0
+    e = VAGUE_INFORMATION * np.eye(count)
     for i in range(a.shape[0]):
         total += v[i] * v[i] / variance[i]
+        lasts |= white[i] != variance[i]
         for j in range(count):
             share = a[i, j] / variance[i]
             b[j] += share * v[i]
             for k in range(count):
                 information[j, k] += share * a[i, k]
-    return NormalEquations(states, a, variance, v, information, b, total)
+                e[j, k] += share * a[i, k] * white[i] / variance[i]
+    lasts = lasts and a.shape[0] >= LEAST_REDUNDANCY * count
+    inverse = invert_positive_definite(e) if lasts else np.empty((0, 0))
+    return NormalEquations(states, a, variance, v, information, b, total, inverse)
 
 
 @compiled
@@ -87,14 +97,13 @@ def rate_equations(h: Vector, variance: Vector, v: Vector) -> NormalEquations:
             known_variance[count], known[count] = variance[i], v[i]
             count += 1
     # A copy: a global array is a constant of the compiled code and may not be changed.
-    return normal_equations_over(
-        RATE_STATES.copy(), a[:count], known_variance[:count], known[:count]
-    )
+    variance = known_variance[:count]
+    return normal_equations_over(RATE_STATES.copy(), a[:count], variance, known[:count], variance)
 
 
-_NONE = np.empty(0)
+_NONE, _TABLE = np.empty(0), np.empty((0, 0))
 NO_RATES = NormalEquations(
-    RATE_STATES.copy(), np.empty((0, 4)), _NONE, _NONE, np.zeros((4, 4)), np.zeros(4), 0.0
+    RATE_STATES.copy(), _TABLE, _NONE, _NONE, np.zeros((4, 4)), np.zeros(4), 0.0, _TABLE
 )
 
 
@@ -109,35 +118,55 @@ def covariance_block(p: Vector, states: Indices) -> Vector:
 
 
 @compiled
-def posterior_block(prior: Vector, information: Vector) -> tuple[Vector, Vector]:
-    """P+_c and Y (c, c) of P_c and N."""
-    before = invert_positive_definite(prior)
-    after = invert_positive_definite(before + information)
-    y = multiply_matrices(before, multiply_matrices(after, before))
-    return after, before - y
+def posterior_block(prior: Vector, normal: NormalEquations) -> tuple[Vector, Vector, Vector]:
+    """F, T and Y (c, c) of P_c and measurements."""
+    before, n, t = invert_positive_definite(prior), normal.information, np.eye(len(normal.b))
+    if len(normal.white):
+        t = multiply_matrices(n, normal.white)
+        n = multiply_matrices(t, n)
+    after = invert_positive_definite(before + n)
+    y = before - multiply_matrices(before, multiply_matrices(after, before))
+    if not len(normal.white):
+        return after, t, y
+    fit = multiply_matrices(t.T, multiply_matrices(after, t)) - normal.white
+    return fit + _cofactor(normal), t, y
 
 
 @compiled
-def posterior_statistic(normal: NormalEquations, after: Vector) -> float:
-    """q of measurements with P+_c (c, c)."""
+def _cofactor(normal: NormalEquations) -> Vector:
+    """C (c, c), the covariance of a snapshot of measurements."""
+    vague = VAGUE_INFORMATION * np.eye(len(normal.b))
+    return invert_positive_definite(normal.information + vague)
+
+
+@compiled
+def posterior_statistic(normal: NormalEquations, fit: Vector) -> float:
+    """q of measurements with F (c, c)."""
     q = normal.total
-    for i in range(after.shape[0]):
-        for j in range(after.shape[0]):
-            q -= normal.b[i] * after[i, j] * normal.b[j]
+    for i in range(fit.shape[0]):
+        for j in range(fit.shape[0]):
+            q -= normal.b[i] * fit[i, j] * normal.b[j]
     return q
+
+
+@compiled
+def lasting_covariance(normal: NormalEquations) -> Vector:
+    """The covariance C - C E C (c, c) of a snapshot's lasting errors."""
+    c, e = _cofactor(normal), invert_positive_definite(normal.white)
+    return c - multiply_matrices(c, multiply_matrices(e, c))
 
 
 def innovation_statistic(p: Vector, normal: NormalEquations) -> float:
     """q of measurements before the covariance p (20, 20)."""
-    after, _ = posterior_block(covariance_block(p, normal.states), normal.information)
-    return posterior_statistic(normal, after)
+    fit, *_ = posterior_block(covariance_block(p, normal.states), normal)
+    return posterior_statistic(normal, fit)
 
 
 def inverse_covariance(p: Vector, normal: NormalEquations) -> Vector:
     """The inverse innovation covariance M (n, n) of measurements before the covariance p."""
-    after, _ = posterior_block(covariance_block(p, normal.states), normal.information)
+    fit, *_ = posterior_block(covariance_block(p, normal.states), normal)
     weighted = normal.a / normal.variance[:, None]
-    return np.diag(1.0 / normal.variance) - weighted @ after @ weighted.T
+    return np.diag(1.0 / normal.variance) - weighted @ fit @ weighted.T
 
 
 def add_error(x: Vector, d: Vector) -> Vector:
@@ -147,11 +176,14 @@ def add_error(x: Vector, d: Vector) -> Vector:
 
 
 @compiled
-def reduce_covariance(p: Vector, normal: NormalEquations) -> tuple[Vector, Vector, Vector]:
-    """Covariance P+ (20, 20) and its columns P+_:c (20, c) after measurements, and dx (20,)."""
+def reduce_covariance(
+    p: Vector, normal: NormalEquations
+) -> tuple[Vector, tuple[Vector, Vector], Vector]:
+    """Covariance P+ (20, 20) after measurements, its columns P+_:c T (20, c) with F (c, c), and dx
+    (20,)."""
     states = normal.states
-    y = posterior_block(covariance_block(p, states), normal.information)[1]
-    out, after = p.copy(), np.empty((p.shape[0], states.shape[0]))
+    fit, t, y = posterior_block(covariance_block(p, states), normal)
+    out, after = p.copy(), np.zeros((p.shape[0], states.shape[0]))
     moved, weighted = np.zeros(p.shape[0]), np.empty(states.shape[0])
     for i in range(p.shape[0]):
         for k in range(states.shape[0]):
@@ -165,14 +197,15 @@ def reduce_covariance(p: Vector, normal: NormalEquations) -> tuple[Vector, Vecto
             out[j, i] = out[i, j]
     for i in range(p.shape[0]):
         for k in range(states.shape[0]):
-            after[i, k] = out[i, states[k]]
+            for m in range(states.shape[0]):
+                after[i, k] += out[i, states[m]] * t[m, k]
             moved[i] += after[i, k] * normal.b[k]
-    return out, after, moved
+    return out, (after, fit), moved
 
 
 def measurement_update(
     x: Vector, p: Vector, normal: NormalEquations
 ) -> tuple[Vector, Vector, Vector, Vector]:
-    """State x (21,) and covariance p (20, 20) after measurements, P+_:c (20, c), and dx (20,)."""
-    p, after, moved = reduce_covariance(p, normal)
+    """State x (21,) and covariance p (20, 20) after measurements, P+_:c T (20, c), and dx (20,)."""
+    p, (after, _), moved = reduce_covariance(p, normal)
     return add_error(x, moved), p, after, moved

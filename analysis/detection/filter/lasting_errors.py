@@ -57,7 +57,7 @@ def lasting_variance(used: Innovations, factor: float) -> Vector:
     for i in range(out.shape[0]):
         wet_m = troposphere_m(TROPOSPHERE_M, used.elevation_rad[i])
         out[i] = LASTING_SIGNAL_M**2 + (IONOSPHERE_SHARE * used.ionosphere_m[i]) ** 2 + wet_m**2
-        out[i] += max(factor - 1.0, 0.0) * used.variance[i]
+        out[i] += max(factor - 1.0, 0.0) * used.variance[i] + used.variance[i] - used.white[i]
     return out
 
 

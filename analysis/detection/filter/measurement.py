@@ -96,14 +96,16 @@ class Innovations(NamedTuple):
     """Ranges and Doppler rates of n satellites minus their predictions, with geometry and noise.
 
     `range_m` and `rate_mps` (n,) are the innovations, `variance` and `rate_variance` (n,) the
-    noise of each, `elevation_rad` (n,), the ionospheric delay `ionosphere_m` (n,) by which its
-    model may be off, and `geometry` (n, 20) the ranges' derivatives by the errors of the state.
+    noise of each, `white` (n,) the part of a range's variance that is independent from epoch to
+    epoch, `elevation_rad` (n,), the ionospheric delay `ionosphere_m` (n,) by which its model may be
+    off, and `geometry` (n, 20) the ranges' derivatives by the errors of the state.
     """
 
     range_m: Vector
     rate_mps: Vector
     variance: Vector
     rate_variance: Vector
+    white: Vector
     elevation_rad: Vector
     ionosphere_m: Vector
     geometry: Vector
@@ -121,7 +123,7 @@ def systems_in_use(geometry: Vector) -> Vector:
 
 
 _NONE = np.empty(0)
-NO_INNOVATIONS = Innovations(_NONE, _NONE, _NONE, _NONE, _NONE, _NONE, np.empty((0, ERROR_SIZE)))
+NO_INNOVATIONS = Innovations(*(7 * (_NONE,)), np.empty((0, ERROR_SIZE)))
 
 
 def observe_epoch(epoch: Epoch, selection: EphemerisSelection) -> EpochObservation | None:
@@ -166,10 +168,10 @@ def compare_with_prediction(
     table, geometry = _innovations(measurements, predicted, x, sigma.numbers)
     # Coefficients that were not broadcast err by more: as if there were more delay to model.
     if len(ionosphere) > KLOBUCHAR_COEFFICIENTS:
-        table[5] *= ionosphere[KLOBUCHAR_COEFFICIENTS]
-    range_m, rate_mps, variance, rate_variance, elevation_rad, ionosphere_m = table
+        table[-1] *= ionosphere[KLOBUCHAR_COEFFICIENTS]
+    range_m, rate_mps, variance, rate_variance, white, elevation_rad, ionosphere_m = table
     return Innovations(
-        range_m, rate_mps, variance, rate_variance, elevation_rad, ionosphere_m, geometry
+        range_m, rate_mps, variance, rate_variance, white, elevation_rad, ionosphere_m, geometry
     )
 
 
@@ -177,21 +179,23 @@ def compare_with_prediction(
 def _innovations(
     measurements: EpochMeasurements, predicted: Vector, x: Vector, sigma: SigmaNumbers
 ) -> tuple[Vector, Vector]:
-    """The columns of `Innovations` but the last (6, n), and the last (n, 20); `predicted` (n, 8) of
+    """The columns of `Innovations` but the last (7, n), and the last (n, 20); `predicted` (n, 8) of
     `broadcast.predict_ranges`."""
-    out, h = np.empty((6, predicted.shape[0])), np.zeros((predicted.shape[0], ERROR_SIZE))
+    out, h = np.empty((7, predicted.shape[0])), np.zeros((predicted.shape[0], ERROR_SIZE))
     for i in range(h.shape[0]):
         system, elevation = measurements.system[i], predicted[i, ELEVATION]
         isb = x[X_ISB - 1 + system] if system > 0 else 0.0
         week, toe = measurements.packed[i, WEEK], measurements.packed[i, TOE]
         age_s = (measurements.week - week) * WEEK_S + measurements.tow_s - toe
         growth_m = EARLY_ERROR_M[system] if age_s < 0.0 else LATE_ERROR_M[system]
-        white = range_variance(elevation, measurements.cn0_dbhz[i], sigma)
+        all_m2, white_m2 = range_variance(elevation, measurements.cn0_dbhz[i], sigma)
+        share = sigma.systems[system] ** 2
         out[0, i] = measurements.pseudorange_m[i] - predicted[i, RANGE] - x[X_CLOCK] - isb
         out[1, i] = measurements.doppler_mps[i] - predicted[i, RATE] - x[X_DRIFT]
-        out[2, i] = white * sigma.systems[system] ** 2 + (growth_m * (age_s / 3600.0) ** 2) ** 2
+        out[2, i] = all_m2 * share + (growth_m * (age_s / 3600.0) ** 2) ** 2
         out[3, i] = sigma.rate_mps**2 / math.sin(max(elevation, 0.1))
-        out[4, i], out[5, i] = elevation, predicted[i, DELAY]
+        out[4, i] = white_m2 * share if sigma.lasting_s > 0.0 else out[2, i]
+        out[5, i], out[6, i] = elevation, predicted[i, DELAY]
         for k in range(3):
             h[i, k] = -predicted[i, LINE_OF_SIGHT + k]
         h[i, CLOCK] = 1.0

@@ -20,6 +20,7 @@ class SigmaNumbers(NamedTuple):
     zenith_m: float
     thermal_m: float
     rate_mps: float
+    lasting_s: float
     systems: tuple[float, ...]
 
 
@@ -27,6 +28,9 @@ class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     """One sigma of a pseudorange from elevation and C/N0.
 
     sigma^2 = scale^2 (floor^2 + (zenith / sin(elevation))^2 + thermal^2 10^((45 - C/N0) / 10))
+
+    Only the last term is white where `lasting_s` is given, the correlation time of the others
+    (0: all of them are white).
 
     Errors that last for minutes (multipath, ephemeris and atmosphere residuals) must not trip the
     tests with memory: those allow an offset of `slow` times sigma with a correlation time of
@@ -43,30 +47,33 @@ class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     slow: NotNegative = 1.0
     slow_s: Positive = 300.0
     slow_mps: NotNegative = 0.02
+    lasting_s: NotNegative = 0.0
     rate_mps: Positive = 0.15
     systems: tuple[Positive, Positive, Positive, Positive] = (1.0, 1.0, 1.5, 1.5)
 
     def sigma_m(self, elevation_rad: Vector, cn0_dbhz: Vector) -> Vector:
         """One sigma (n,) of each pseudorange; C/N0 counts as 45 dBHz where it is unknown."""
         pairs = zip(elevation_rad.tolist(), cn0_dbhz.tolist(), strict=True)
-        return np.sqrt([range_variance(*pair, self.numbers) for pair in pairs])
+        return np.sqrt([range_variance(*pair, self.numbers)[0] for pair in pairs])
 
     @cached_property
     def numbers(self) -> SigmaNumbers:
         """The terms that the kernels need."""
-        scale, floor, zenith, thermal, rate, *systems = map(
-            float,
-            (self.scale, self.floor_m, self.zenith_m, self.thermal_m, self.rate_mps, *self.systems),
+        terms = self.scale, self.floor_m, self.zenith_m, self.thermal_m, self.rate_mps
+        scale, floor, zenith, thermal, rate, lasting, *systems = map(
+            float, (*terms, self.lasting_s, *self.systems)
         )
-        return SigmaNumbers(scale, floor, zenith, thermal, rate, tuple(systems))
+        return SigmaNumbers(scale, floor, zenith, thermal, rate, lasting, tuple(systems))
 
 
 @compiled
-def range_variance(elevation_rad: float, cn0_dbhz: float, sigma: SigmaNumbers) -> float:
-    """Variance of a pseudorange in m^2."""
+def range_variance(
+    elevation_rad: float, cn0_dbhz: float, sigma: SigmaNumbers
+) -> tuple[float, float]:
+    """Variance of a pseudorange in m^2, and the thermal part of it."""
     # A negative C/N0 is no signal; it must not make the variance explode.
     cn0 = max(cn0_dbhz, 0.0) if math.isfinite(cn0_dbhz) else 45.0
     sine = math.sin(max(elevation_rad, 0.05))
-    thermal = sigma.thermal_m**2 * 10.0 ** ((45.0 - cn0) / 10.0)
-    variance: float = sigma.scale**2 * (sigma.floor_m**2 + (sigma.zenith_m / sine) ** 2 + thermal)
-    return variance
+    thermal = (sigma.scale * sigma.thermal_m) ** 2 * 10.0 ** ((45.0 - cn0) / 10.0)
+    lasting = sigma.scale**2 * (sigma.floor_m**2 + (sigma.zenith_m / sine) ** 2)
+    return lasting + thermal, thermal

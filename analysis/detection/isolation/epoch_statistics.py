@@ -49,15 +49,15 @@ class EpochStatistics(NamedTuple):
 def compute_statistics(innovations: Innovations, p: Vector) -> EpochStatistics:
     """Every test of n innovations against a prediction with covariance p (20, 20)."""
     h = innovations.geometry
-    ranges = normal_equations(h, innovations.variance, innovations.range_m)
+    ranges = normal_equations(h, innovations.variance, innovations.range_m, innovations.white)
     rates = rate_equations(h, innovations.rate_variance, innovations.rate_mps)
-    after, _ = posterior_block(covariance_block(p, ranges.states), ranges.information)
-    after_rates, _ = posterior_block(covariance_block(p, rates.states), rates.information)
+    fit = posterior_block(covariance_block(p, ranges.states), ranges)[0]
+    fit_rates = posterior_block(covariance_block(p, rates.states), rates)[0]
     parity, dof, systems = parity_test(ranges)
     return EpochStatistics(
-        normalise_innovations(ranges, after),
-        posterior_statistic(ranges, after),
-        posterior_statistic(rates, after_rates),
+        normalise_innovations(ranges, fit),
+        posterior_statistic(ranges, fit),
+        posterior_statistic(rates, fit_rates),
         parity,
         dof,
         systems,
@@ -67,16 +67,16 @@ def compute_statistics(innovations: Innovations, p: Vector) -> EpochStatistics:
 
 
 @compiled
-def normalise_innovations(normal: NormalEquations, after: Vector) -> Vector:
+def normalise_innovations(normal: NormalEquations, fit: Vector) -> Vector:
     """u_i / sqrt(M_ii) (n,), standard normal without faults, whose squares are what q loses
-    without i; NaN where the others do not check a satellite. `after` is P+_c."""
+    without i; NaN where the others do not check a satellite. `fit` is F (c, c)."""
     a, variance, out = normal.a, normal.variance, np.empty(normal.v.shape[0])
     for i in range(out.shape[0]):
         remaining, own = normal.v[i], 1.0
         for j in range(a.shape[1]):
             for k in range(a.shape[1]):
-                remaining -= a[i, j] * after[j, k] * normal.b[k]
-                own -= a[i, j] * after[j, k] * a[i, k] / variance[i]
+                remaining -= a[i, j] * fit[j, k] * normal.b[k]
+                own -= a[i, j] * fit[j, k] * a[i, k] / variance[i]
         # A satellite that alone sees a state fits it exactly: its residual says nothing.
         known = own > 1e-12 * variance[i]
         out[i] = remaining / math.sqrt(own * variance[i]) if known else np.nan

@@ -76,8 +76,8 @@ def update_windows(
     prior = covariance_block(motion.p, update.ranges.states)
     offset, spread = learn_offsets(windows, prior, update.ranges, dt_s, config.sigma)
     windows = propagate_windows(windows, transition, dt_s)
-    respond(windows, ages_s, update.ranges, update.after_ranges, True)
-    respond(windows, ages_s, update.rates, update.after_rates, False)
+    respond(windows, ages_s, update.ranges, *update.after_ranges, True)
+    respond(windows, ages_s, update.rates, *update.after_rates, False)
     windows = windows._replace(offset=offset, spread=spread)
     variances = float(config.sigma.slow_mps) ** 2, float(config.slow_accel_mps2) ** 2
     strongest = strongest_ramp(windows, ages_s, motion.inertial, *variances)
@@ -97,20 +97,25 @@ def propagate_windows(windows: RampWindows, transition: Vector, dt_s: float) -> 
 
 @compiled
 def respond(
-    windows: RampWindows, ages_s: Vector, used: NormalEquations, after: Vector, ramps: bool
+    windows: RampWindows,
+    ages_s: Vector,
+    used: NormalEquations,
+    after: Vector,
+    fit: Vector,
+    ramps: bool,
 ) -> None:
     """Add one epoch to every window, in place.
 
-    `ages_s` (w,) are the times since each window's start, `after` (20, c) the columns of the
-    observed states of the covariance after the n ranges, if `ramps`, or rates that were `used`: no
-    fault of a range affects a rate.
+    `ages_s` (w,) are the times since each window's start, `after` (20, c) and `fit` (c, c) those of
+    `EpochUpdate` for the n ranges, if `ramps`, or rates that were `used`: no fault of a range
+    affects a rate.
     """
     d, sums, count = windows.d, windows.sums, windows.sums.shape[2] if ramps else 0
     each, size, states = d.shape[2], used.b.shape[0], used.states
     first = each - 3  # of the accelerations
     seen, gamma, whole = np.empty(size), np.empty((each, size)), np.empty((each, size))
     for w in range(ages_s.shape[0]):
-        b, moved = _without_offsets(used, after, windows.offsets[w, :count])
+        b, moved = _without_offsets(used, fit, windows.offsets[w, :count])
         for s in range(each):
             lost = 0.0
             for k in range(size):
@@ -123,7 +128,7 @@ def respond(
             for k in range(size):
                 whole[s, k] = seen[k]
                 for m in range(size):
-                    whole[s, k] += after[states[k], m] * gamma[s, m]
+                    whole[s, k] += fit[k, m] * gamma[s, m]
             # The response follows the update as the state does.
             for row in range(d.shape[0]):
                 for k in range(size):
@@ -139,7 +144,7 @@ def respond(
                     shift += used.a[s, k] * moved[k]
                     cross += gamma[s, k] * whole[s, k]
                     for m in range(size):
-                        known += used.a[s, k] * after[states[k], m] * used.a[s, m]
+                        known += used.a[s, k] * fit[k, m] * used.a[s, m]
                 news = used.v[s] - windows.offsets[w, s]
                 sums[0, w, s] += age * news / variance - lost
                 sums[1, w, s] += (news - shift) / variance
@@ -153,17 +158,15 @@ def respond(
 
 
 @compiled
-def _without_offsets(
-    used: NormalEquations, after: Vector, offsets: Vector
-) -> tuple[Vector, Vector]:
-    """b and P+_c b (c,) of measurements less the offsets (n,) of a window."""
+def _without_offsets(used: NormalEquations, fit: Vector, offsets: Vector) -> tuple[Vector, Vector]:
+    """b and F b (c,) of measurements less the offsets (n,) of a window."""
     b, moved = used.b.copy(), np.zeros(used.b.shape[0])
     for k in range(b.shape[0]):
         for i in range(offsets.shape[0]):
             b[k] -= used.a[i, k] * offsets[i] / used.variance[i]
     for k in range(b.shape[0]):
         for m in range(b.shape[0]):
-            moved[k] += after[used.states[k], m] * b[m]
+            moved[k] += fit[k, m] * b[m]
     return b, moved
 
 

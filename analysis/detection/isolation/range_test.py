@@ -138,7 +138,7 @@ def _explain(
     largest = largest_subset(len(innovations.range_m), config.left_out)
     h, v = innovations.geometry, innovations.range_m
     position, clock, systems, whole = h[:, :3], h[:, CLOCK : CLOCK + 1], group_by_system(h), False
-    normal = normal_equations(h, innovations.variance, v)
+    normal = normal_equations(h, innovations.variance, v, innovations.white)
     for number in range(MOST_ROUNDS):
         forced = by_past and number == 0
         if not forced and innovation_statistic(motion.p, normal) <= threshold:

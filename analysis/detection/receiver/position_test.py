@@ -108,14 +108,14 @@ def run_fix_tests(
 
 
 def _fix_test(p: Vector, v: Vector, h: Vector, variance: Vector, p_false_alarm: float) -> FixTest:
-    q = innovation_statistic(p, normal_equations(h, variance, v))
+    q = innovation_statistic(p, normal_equations(h, variance, v, variance))
     return FixTest(q, chi_square_threshold(len(v), p_false_alarm), v, h, variance)
 
 
 def update_with_fix(motion: MotionEstimate, part: FixTest) -> MotionEstimate:
     """Return the filter updated with the part of the fix that a test used."""
     x, p, *_ = measurement_update(
-        motion.x, motion.p, normal_equations(part.h, part.variance, part.v)
+        motion.x, motion.p, normal_equations(part.h, part.variance, part.v, part.variance)
     )
     return motion._replace(x=x, p=p)
 

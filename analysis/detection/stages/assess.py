@@ -4,12 +4,15 @@ Where a receiver has set its clock the prediction follows; where other satellite
 the last epoch their learned offsets are frozen.
 """
 
+import math
+
 import numpy as np
 
 from analysis.detection.detector_state import DetectorCore
 from analysis.detection.filter.covariance_release import CLOCK_JUMP_M, free_clock
 from analysis.detection.filter.filter_config import FilterConfig
 from analysis.detection.filter.inertial import X_CLOCK
+from analysis.detection.filter.information import lasting_covariance, normal_equations
 from analysis.detection.filter.measurement import (
     NO_INNOVATIONS,
     EpochObservation,
@@ -22,9 +25,16 @@ from analysis.detection.isolation.epoch_memory import (
     freeze_offsets,
     frozen_offsets_m,
 )
-from analysis.detection.isolation.epoch_statistics import EpochStatistics, compute_statistics
+from analysis.detection.isolation.epoch_statistics import (
+    EpochStatistics,
+    compute_statistics,
+    parity_test,
+)
 from analysis.detection.stages.predict import Prediction
+from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.values import Value
+
+MOVED_PROBABILITY = 0.3  # of a larger shift by lasting errors; without it a start drifted by 108 m
 
 
 class Assessment(Value, frozen=True):
@@ -73,6 +83,7 @@ def assess(
     # Again at a change of satellites: the innovations must be those with the new offsets.
     if memory.ramps is not None and memory.ramps.names != assessment.satellites:
         memory = freeze_offsets(memory, prediction.motion.t_us, config)
+        memory = _limit_frozen(memory, assessment, config)
         assessment = compare(observation, prediction, core, memory, config)
     return assessment._replace(clock_jumped=True) if jump_m else assessment
 
@@ -98,7 +109,31 @@ def compare(
         out = _select(names, found, above & outside)
         names, found = _select(names, found, above & ~outside)
     statistics = compute_statistics(found, motion.p)
+    ranges, lasting_s = statistics.ranges, config.sigma.lasting_s
+    if len(ranges.white):
+        # By as much as lasting errors have changed since; other satellites have others.
+        others = memory.ramps is not None and memory.ramps.names != names
+        changed = 1.0 if others else 2.0 - 2.0 * math.exp(-prediction.dt_s / lasting_s)
+        p, observed = motion.p.copy(), np.ix_(ranges.states, ranges.states)
+        p[observed] += changed * lasting_covariance(ranges)
+        prediction = prediction._replace(motion=motion._replace(p=p))
+        statistics = compute_statistics(found, p)
     return Assessment(prediction, memory, names, found, *out, statistics)
+
+
+def _limit_frozen(memory: EpochMemory, assessment: Assessment, config: FilterConfig) -> EpochMemory:
+    """The memory with its frozen offsets scaled down where they move position and clock further
+    than lasting errors plausibly do: what one change of satellites adds is kept by the next."""
+    found, t_us = assessment.innovations, assessment.prediction.motion.t_us
+    offset_m = frozen_offsets_m(memory.frozen, assessment.satellites, t_us, config)
+    normal = normal_equations(found.geometry, found.variance, offset_m, found.variance)
+    moved = normal.total - parity_test(normal)[0]
+    limit = config.sigma.slow**2 * chi_square_threshold(len(normal.b), MOVED_PROBABILITY)
+    if moved <= limit:
+        return memory
+    share = math.sqrt(limit / moved)
+    offsets_m = {name: share * offset_m for name, offset_m in memory.frozen.offsets_m.items()}
+    return memory._replace(frozen=memory.frozen._replace(offsets_m=offsets_m))
 
 
 def _select(

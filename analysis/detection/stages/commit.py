@@ -121,7 +121,9 @@ def _update(
     memory, ranges = assessment.memory, verdict.ranges
     if verdict.update is not None:
         return verdict.update, memory
-    normal = normal_equations(ranges.usable.geometry, ranges.usable.variance, ranges.usable.range_m)
+    normal = normal_equations(
+        ranges.usable.geometry, ranges.usable.variance, ranges.usable.range_m, ranges.usable.white
+    )
     motion = update_filter(ranges.motion, normal, verdict.rates.usable).motion
     # Offsets learned while a whole system moves are its shift, not offsets of satellites.
     if not ranges.whole_system:
@@ -247,7 +249,9 @@ def _bound_position(
         names = tuple(name for i, name in enumerate(names) if i not in faulty)
         # The verdict has selected their rows already, less their learned offsets.
         innovations = verdict.ranges.usable._replace(range_m=innovations.range_m[keep])
-        normal = normal_equations(innovations.geometry, innovations.variance, innovations.range_m)
+        normal = normal_equations(
+            innovations.geometry, innovations.variance, innovations.range_m, innovations.white
+        )
         parity, dof, _ = parity_test(normal)
     since_us = motion.t_us - prediction.before.t_us
     factor = memory.variance_factor.with_epoch(parity, dof, since_us * 1e-6)

@@ -33,10 +33,12 @@ def try_other_ephemerides(
     used = zip(known.selection.names, known.selection.used, strict=True)
     wrong = {name: ephemeris for name, ephemeris in used if name in faulty}
     broadcast = known._replace(wrong=known.wrong.union(wrong.values()), selection=None)
-    observation, broadcast = observe(epoch, broadcast, config.systems)
+    places = [i for i, name in enumerate(epoch.satellites) if name in faulty]
+    observation, _ = observe(epoch.select(places), broadcast, config.systems)
     if observation is None:
         return record, outcome, ""
-    ours, theirs = (_ranges_m(o, record.core, config) for o in (record.observation, observation))
+    own = record.observation.select(np.isin(record.observation.satellites, observation.satellites))
+    ours, theirs = (_ranges_m(o, record.core, config) for o in (own, observation))
     doubtful = {
         name
         for name in faulty & theirs.keys()
@@ -44,6 +46,8 @@ def try_other_ephemerides(
     }
     if not doubtful:
         return record, outcome, ""
+    observation, broadcast = observe(epoch, broadcast, config.systems)
+    assert observation is not None
     again = record._replace(core=record.core._replace(broadcast=broadcast), observation=observation)
     other = run_stages(epoch.t_us, observation, record.run, again.core, history, config)
     cleared = sorted(doubtful - _isolated(other))

@@ -184,7 +184,7 @@ def _update_with_ramps(
     ramps = prepare_ramps(ramps, t_us, assessment.satellites, ranges.usable.variance, config)
     used, normal = ranges.usable, assessment.statistics.ranges
     if used is not assessment.innovations:
-        normal = normal_equations(used.geometry, used.variance, used.range_m)
+        normal = normal_equations(used.geometry, used.variance, used.range_m, used.white)
     update = update_filter(motion, normal, verdict.rates.usable)
     windows, strongest = update_windows(
         ramps.windows, motion, update, prediction.transition, prediction.dt_s, config

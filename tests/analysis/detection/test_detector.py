@@ -9,6 +9,7 @@ import pytest
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run_detector
 from analysis.results import Decision, SensorDecision
+from analysis.run.run_setup import read_setup
 from analysis.samples.sample import EphemerisSample, Epoch, ImuSample, Sample, TruthSample
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 
@@ -305,3 +306,13 @@ def test_epochs_at_twenty_ten_one_and_half_a_hertz_need_no_setting(flights, epoc
     assert acting[0].alarm
     assert {decision.excluded for decision in acting} == {(name,)}
     assert errors(samples, found).max() < 3.0
+
+
+def test_the_prediction_s_share_of_the_main_test_is_chi_square_with_the_noise_of_the_scenario(
+    flight,
+):
+    config = read_setup(None).monitor.detector
+    found = [d for d in decisions(flight, config) if d.mode == "inertial"]
+    more = sum(d.statistic - d.parity_statistic for d in found)
+    dof = sum(d.dof - d.parity_dof for d in found)
+    assert abs(more / dof - 1.0) < 3.0 * (2.0 / dof) ** 0.5

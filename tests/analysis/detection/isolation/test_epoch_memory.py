@@ -68,7 +68,7 @@ def test_an_offset_is_learned_as_a_kalman_filter_does():
     for _ in range(50):
         v = 0.7 + rng.standard_normal(1)
         windows = new_ramps(0).windows._replace(offset=mean, spread=spread)
-        ranges = normal_equations_over(np.arange(20), h, np.ones(1), v)
+        ranges = normal_equations_over(np.arange(20), h, np.ones(1), v, np.ones(1))
         mean, spread = learn_offsets(windows, p, ranges, 1.0, FOR_EVER)
     assert spread[0] == pytest.approx(1.0 / 51.0)
     assert abs(mean[0] - 0.7) < 4.0 * math.sqrt(spread[0])
