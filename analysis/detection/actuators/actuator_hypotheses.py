@@ -24,9 +24,8 @@ DETECTION_SCORE, ISOLATION_SCORE = 25.0, 8.0
 # Largest remainder: chi2inv(0.999, 6) is 22.5; the share allows for a nonlinear effect. Without it
 # a faulty pitot tube is a weak elevator.
 MOST_LEFT, MOST_LEFT_SHARE = 22.0, 0.08
-# Of full command; else a load is suspected beside the elevator (benchmarks/actuator_watch.py).
-LEAST_DEFICIT = 0.05
-# A rotor rarely does more than commanded: without this `propeller-damage` is a stronger motor
+LEAST_DEFICIT = 0.05  # of full command: EFFECT_SIGMA_SHARE of a third of it, as in hover
+# A rotor rarely does more than commanded: without this `propeller-damage` seems to do so
 # (benchmarks/preset_table.py). Less lift than a fifth of the weight is no rotor.
 RAISED_PENALTY, ROTOR_LIFT_MPS2 = 8.0, -2.0
 ROLL, PITCH, YAW = range(3)  # of the angular axes

@@ -67,8 +67,8 @@ LATE_US, IRREGULAR_BINS, LAG_SHARE = 60_000, 10, 0.02
 SPARSE_COMMAND_US = 60_000  # longer intervals hide what motors (lag 40 ms) do in between
 MOST_COMMAND = 100.0  # no output exceeds 1; larger values come from corrupted logs
 IMPACT_BINS = 50  # 5 s: until what has hit the ground lies still; ArduPilot's crash check waits 2 s
-# r above which learning pauses (3.5 sigma), and for how many bins at most: without it no stuck
-# elevator or rudder is isolated (benchmarks/actuator_watch.py).
+# r above which learning pauses (3.5 sigma), and for how many bins at most; else a stuck rudder
+# is missed (benchmarks/actuator_watch.py).
 DOUBT_STATISTIC, MOST_DOUBTFUL_BINS = 12.0, 200
 
 

@@ -19,8 +19,8 @@ FORWARD, FORWARD_BY_AIRSPEED, DOWN = range(ANGULAR, AXES)
 CONSTANT, OUTPUT, RATE, FORCE = 0, 1, 1 + COMMANDS, 4 + COMMANDS
 AIRSPEED, TERMS = 6 + COMMANDS, 7 + COMMANDS  # the last
 CONSTANT_SIGMA = 30.0  # of an axis before the flight: three times the weight, for any trim
-# Measured on flights of benchmarks/actuator_watch.py (seed 1). One sigma of a coefficient: with
-# twice as much a stuck motor is found 5 s later, with half none sooner.
+# On flights of benchmarks/actuator_watch.py, seed 1. One sigma of a coefficient and of its
+# nonlinearity: half or twice changes delays by 0.2 s.
 EFFECT_SIGMA_SHARE = 0.15
 # Smallest sigma: a share of the largest of its kind; rates in 1/s, forces in rad/m. Half or twice
 # changes no row.

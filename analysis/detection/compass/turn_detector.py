@@ -25,8 +25,8 @@ from analysis.results import SensorDecision, pattern_alarm
 from analysis.samples.block import NEVER_US, Block
 from mavproxy_fault.numerics.rotations.one_rotation import rotate_quaternion, rotate_to_body
 
-# Four seconds: in half of them a gyro bias of 0.1 rad/s (benchmarks/preset_table.py) is found 2.5 s
-# later, in twice as many no jump of the field on ArduCopter's flights.
+# Four seconds: with half as many bins `gyro-bias` is found 2.5 s later, with twice as many
+# `mag-offset` is missed here (presets, benchmarks/preset_table.py).
 BIN_US, BIN_COUNT = 500_000, 8
 # Longest gaps, one lost sample allowed: of a gyro at 20 Hz, and of fields at 10 Hz that may jump.
 GAP_US, STEP_US = 100_000, 150_000

@@ -14,8 +14,8 @@ from analysis.samples.block import FIX_3D, FIX_TYPE, IMU, MAG, NEVER_US, Block
 
 # A compass averages since its last sample, at most so long; a turn of 0.5 rad reduces it by 1 %
 MEAN_US, TURN_RAD = 200_000, 0.5
-# Of the short mean about the long one (p 1e-15; its errors last): with twice as many the presets
-# `mag-scale` and a magnetometer's offset under ArduCopter are missed, as with twice SHORT_S.
+# Of the short mean about the long one (p 1e-15; its errors last): with twice as many `mag-scale` is
+# missed, as with twice SHORT_S.
 CHANGE_SIGMAS = 8.0
 # Memories, and the age of a level that is tested: with 8 s the presets, which begin at 6 s, are
 # missed (benchmarks/preset_table.py).
