@@ -18,6 +18,24 @@ def stored_rows(span_s: float) -> int:
     return min(int(span_s * FASTEST_HZ) + 8, MOST_ROWS)
 
 
+class StoredValues(RuleFault, frozen=True, kw_only=True):
+    """Base of faults that remember the values of `value` seconds, in `width` numbers each."""
+
+    by_sender: ClassVar[bool] = True
+    width: ClassVar[int]
+
+    value: Duration
+
+    @property
+    def remembers(self) -> int:  # type: ignore[override]
+        """Two places in the stored values, and those."""
+        return 2 + self.width * stored_rows(self.value)
+
+    def numbers(self, count: int) -> list[Numbers]:
+        """Return the time and how many values are stored."""
+        return [(self.value, float(stored_rows(self.value)))] * count
+
+
 @value_rule
 def delay_value(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
     """Return the newest value that is old enough, from a ring of `m[0]` times and values."""
@@ -33,24 +51,13 @@ def delay_value(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any
     return m[3 + 2 * first]
 
 
-class Lag(RuleFault, frozen=True, kw_only=True):
+class Lag(StoredValues, frozen=True, kw_only=True):
     """Send the values of `value` seconds ago; at first those of the fault's first frame."""
 
     name: ClassVar[str] = "lag"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.05}
-    by_sender: ClassVar[bool] = True
+    width: ClassVar[int] = 2  # with their times
     rule = staticmethod(delay_value)
-
-    value: Duration
-
-    @property
-    def remembers(self) -> int:  # type: ignore[override]
-        """The ring's length and beginning, and its times and values."""
-        return 2 + 2 * stored_rows(self.value)
-
-    def numbers(self, count: int) -> list[Numbers]:
-        """Return the delay and the length of the ring."""
-        return [(self.value, float(stored_rows(self.value)))] * count
 
 
 @value_rule
@@ -65,24 +72,13 @@ def repeat_recording(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -
     return m[2 + int(m[1] + count - 1.0) % count]
 
 
-class Replay(RuleFault, frozen=True, kw_only=True):
+class Replay(StoredValues, frozen=True, kw_only=True):
     """Record the first `value` seconds, then replay them in a loop."""
 
     name: ClassVar[str] = "replay"
     example: ClassVar[dict[str, Any]] = {"target": GYRO, "value": 0.1}
-    by_sender: ClassVar[bool] = True
+    width: ClassVar[int] = 1
     rule = staticmethod(repeat_recording)
-
-    value: Duration
-
-    @property
-    def remembers(self) -> int:  # type: ignore[override]
-        """The recording's length, the place in it, and its values."""
-        return 2 + stored_rows(self.value)
-
-    def numbers(self, count: int) -> list[Numbers]:
-        """Return the time and the most values of a recording."""
-        return [(self.value, float(stored_rows(self.value)))] * count
 
 
 @value_rule
