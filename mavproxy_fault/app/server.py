@@ -228,9 +228,8 @@ class Server:
         if self._busy_poll:
             return 0.0
         due_us = self.core.next_due_us
-        if due_us is None:
-            return RECONNECT_S
-        return min(max(due_us - self.now_us(), 0) * 1e-6, RECONNECT_S)
+        wait_s = RECONNECT_S if due_us is None else max(due_us - self.now_us(), 0) * 1e-6
+        return min(wait_s, RECONNECT_S)
 
     def _serve(self, number: int) -> None:
         """Forward what one link has received."""

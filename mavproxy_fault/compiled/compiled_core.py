@@ -196,8 +196,7 @@ class CompiledCore:
         length, number, _ = frame_span(data, 0) or (0, -1, 0)
         if found == k.FRAME and number in self._learned:
             frame = Frame(data[:length], self._learned[number])
-            timed_us = self.loop[k.TIMED]
-            t_us = None if timed_us == UNKNOWN else int(timed_us)
+            t_us = None if self.loop[k.TIMED] == UNKNOWN else int(self.loop[k.TIMED])
             sends = [] if begun else self._core.release_due(now_us)
             return sends + self._core.received_frame(link, frame, now_us, t_us), length
         self._learn(data)

@@ -158,8 +158,7 @@ class Forwarder(CompiledCore):
             if not any(ports[number, column] for column in COUNTERS):
                 continue
             for column, name in COUNTERS.items():
-                count = getattr(link.counters, name) + ports[number, column]
-                setattr(link.counters, name, count)
+                setattr(link.counters, name, getattr(link.counters, name) + ports[number, column])
                 ports[number, column] = 0
             for step in range(k.LATENCY_STEPS):
                 if count := self.shared.histogram[number, step]:

@@ -188,8 +188,7 @@ class Core:
         numbers = self.waiting.numbers
         while (due_us := min(self._engine_due_us(), self.waiting.first_us)) <= now_us:
             is_delayed = due_us == self.waiting.first_us
-            some = self.release_delayed(now_us) if is_delayed and self.release_delayed else ()
-            if some:
+            if is_delayed and self.release_delayed and (some := self.release_delayed(now_us)):
                 sends += some
                 continue
             # After a time jump forward, a delayed frame could otherwise leave before it arrived.
