@@ -145,9 +145,8 @@ def alone(path: Path) -> Iterator[None]:
 
     Where there is no such lock (Windows, no folder to write to) several may do the same work.
     """
-    with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         file = path.open("w")
     except OSError:
         yield
