@@ -34,7 +34,7 @@ from analysis.detection.stages.predict import Prediction
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.values import Value
 
-MOVED_PROBABILITY = 0.3  # of a larger shift by lasting errors; without it a start drifted by 108 m
+MOVED_PROBABILITY = 0.01  # of a larger shift by lasting errors; without it a start drifted by 108 m
 
 
 class Assessment(Value, frozen=True):
