@@ -36,17 +36,7 @@ ANSWERS, TELEMETRY = 0, 1  # stream numbers of returned data: a frame never span
 class BridgedAutopilot(FedAutopilot):
     """ArduPilot's process, which starts after the sensor discovery and ends with this.
 
-    Parameters
-    ----------
-    command : sequence of str
-        The command and its arguments.
-    vehicle : {"copter", "plane"}
-    folder : Path
-        Working folder of the process, with its logs.
-    overrides : dict of str
-        The user's parameters; they override the bridge's.
-    say, hil
-        As of `FedAutopilot`.
+    It works in `folder`, with its logs; the user's `overrides` precede the bridge's parameters.
     """
 
     def __init__(

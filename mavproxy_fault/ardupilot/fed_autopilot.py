@@ -29,22 +29,9 @@ CHANNELS = {"copter": motor_channels, "plane": plane_channels}
 class FedAutopilot(ABC):
     """ArduPilot fed by HIL frames.
 
-    Parameters
-    ----------
-    sensor : Link
-        The serial device of its VectorNav; closed with it.
-    vehicle : {"copter", "plane"}
-    say : callable
-        Receives status lines for the user.
-    hil : str
-        The HIL link's name, for messages.
-    requests : sequence of SetupRequest
-        Requests to send before the standard ones.
-
-    Attributes
-    ----------
-    steps, t_us : int
-        Number of steps since the discovery, and vehicle time of the last.
+    `sensor` is the serial device of its VectorNav, closed with it; `say` receives status lines,
+    `hil` names the HIL link in messages, and `requests` go out before the standard ones. `steps`
+    counts those since the discovery, `t_us` is the vehicle time of the last.
     """
 
     datagrams = False

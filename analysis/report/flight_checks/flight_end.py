@@ -1,4 +1,4 @@
-"""Checks of the end of a flight: ground impact, attitude at rest, log ending in flight."""
+"""Checks of the end of a flight: control, ground impact, attitude at rest, log ending in flight."""
 
 import numpy as np
 
@@ -17,6 +17,8 @@ from analysis.report.judging.vehicle_record import vehicle_record
 from analysis.scoring.vehicle_outcome import (
     BLOW,
     ENDED_TILTED,
+    FLEW_AWAY,
+    LOST_CONTROL,
     REST_MPS,
     REST_S,
     STOP_S,
@@ -32,10 +34,11 @@ FALLING_MPS = 3.0  # chosen: a faster sink at the end of a log is a fall
 
 
 def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
-    """Check the ground impact, the attitude at rest, and whether the log ends in flight."""
+    """Check control, ground impact, attitude at rest, and whether the log ends in flight."""
     record = vehicle_record(recording)
     found = judge_vehicle(record)
-    checks = _impact(record, found, th), _upright(record, found), _ends_airborne(recording, record)
+    end = _ends_airborne(recording, record)
+    checks = _impact(record, found, th), _controlled(found), _upright(record, found), end
     return [restrict_to_classes(check, recording.vehicle, FLYERS) for check in checks]
 
 
@@ -59,6 +62,17 @@ def _impact(record: VehicleRecord, found: VehicleOutcome, th: Thresholds) -> Fli
     text = f"hit the ground at a sink rate of {speed_mps:.1f} m/s, at {at_s:.1f} s"
     verdict = FAIL if speed_mps >= fail else WARN
     return FlightCheck(name, verdict, text, limit, ((at_s, at_s + STOP_S),), "climb")
+
+
+def _controlled(found: VehicleOutcome) -> FlightCheck:
+    """Check that the vehicle neither lost control nor flew away."""
+    name, limit = "control in flight", "fail: thrown over, or flown away"
+    if not any(event.kind == "take-off" for event in found.events):
+        return FlightCheck(name, NONE, "no take-off in the log", limit)
+    lost = [event for event in found.events if event.kind in (LOST_CONTROL, FLEW_AWAY)]
+    windows = tuple((event.t_s, event.t_s + REST_S) for event in lost)
+    evidence = ", ".join(event.text for event in lost) or "kept"
+    return FlightCheck(name, FAIL if lost else PASS, evidence, limit, windows, "tilt")
 
 
 def _upright(record: VehicleRecord, found: VehicleOutcome) -> FlightCheck:

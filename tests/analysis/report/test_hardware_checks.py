@@ -130,6 +130,15 @@ def test_an_overturned_vehicle_fails_and_an_upright_tail_sitter_passes(
     assert verdict(checks(), "vehicle ends upright") == "not judged"
 
 
+@pytest.mark.parametrize(("tilt_deg", "word"), [(40.0, "PASS"), (120.0, "FAIL")])
+def test_a_vehicle_that_is_thrown_over_fails_however_well_it_lands(
+    tilt_deg: float, word: str
+) -> None:
+    tilt = np.where((T_S > 20.0) & (T_S < 21.0), tilt_deg, 3.0)
+    found = checks(*fall(1.0), Signal("tilt", "ATTITUDE", T_S, tilt))
+    assert verdict(found, "control in flight") == word
+
+
 def test_a_wrong_height_fails_at_the_right_horizontal_position() -> None:
     place = np.full_like(T_S, 47.0), np.full_like(T_S, 8.0)
     truth = GroundTrack("truth", T_S, *place, np.full_like(T_S, 500.0))
