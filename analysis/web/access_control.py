@@ -15,6 +15,7 @@ from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.websockets import WebSocketClose
 
 from analysis.web.peer_user import HAS_TABLES, peer_user
 from mavproxy_fault.documents.errors import ConfigError
@@ -48,10 +49,12 @@ class AccessControl(NamedTuple):
         """Refuse a call before any route sees it."""
 
         async def guarded(scope: Scope, receive: Receive, send: Send) -> None:
-            refusal = None
-            if scope["type"] in ("http", "websocket"):
-                refusal = self.refusal(HTTPConnection(scope))
-            await (refusal_answer(403, refusal) if refusal else app)(scope, receive, send)
+            answer, kind = app, scope["type"]
+            if kind in ("http", "websocket") and (refusal := self.refusal(HTTPConnection(scope))):
+                # uvicorn answers the close with 403; another answer it would log as an error.
+                closes = kind == "websocket"
+                answer = WebSocketClose(1008, refusal) if closes else refusal_answer(403, refusal)
+            await answer(scope, receive, send)
 
         return guarded
 
