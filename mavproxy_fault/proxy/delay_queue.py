@@ -10,6 +10,7 @@ from typing import Any
 
 from mavproxy_fault.fault_parts.memory import new_table
 from mavproxy_fault.proxy.interfaces import NEVER_US
+from mavproxy_fault.proxy.sender_rules import MAX_TIME_JUMP_US
 
 MOST = 1 << 18  # chosen: 10 s of 26,000 frames a second; what does not fit is lost
 SLOT = 320  # bytes kept for a frame, more than the longest
@@ -74,11 +75,13 @@ def follow_simulator(queue: Queue, t_us: int, now_us: int) -> None:
     """Move what waits with the clock of a simulator, whose HIL_SENSOR of `t_us` came at `now_us`.
 
     So a delay lasts its seconds of the simulator's time, at any speed of it; while it stands still,
-    for example waiting for the frame that is delayed, wall time counts.
+    for example waiting for the frame that is delayed, wall time counts. A jump is another simulator
+    or a new start: nothing moves with it.
     """
     offset_us, queue[SIMULATOR_OFFSET] = queue[SIMULATOR_OFFSET], now_us - t_us
     moved_us = now_us - t_us - offset_us
-    if offset_us == 0 or moved_us == 0 or queue[COUNT] == 0:
+    jumped = offset_us == 0 or abs(moved_us) > MAX_TIME_JUMP_US
+    if jumped or moved_us == 0 or queue[COUNT] == 0:
         return
     for n in range(queue[COUNT]):
         queue[ROWS + ROW * queue[HEAP + n] + DUE] += moved_us

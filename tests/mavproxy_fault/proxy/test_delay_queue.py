@@ -3,7 +3,7 @@
 import heapq
 import random
 
-from mavproxy_fault.proxy.delay_queue import COUNT, MOST, DelayQueue, put
+from mavproxy_fault.proxy.delay_queue import COUNT, MOST, DelayQueue, follow_simulator, put
 from mavproxy_fault.proxy.interfaces import NEVER_US
 
 
@@ -27,3 +27,14 @@ def test_a_full_queue_takes_no_more() -> None:
     queue.numbers[COUNT] = MOST
     assert put(queue.numbers, 5, 1, 9) == -1
     assert queue.numbers[COUNT] == MOST
+
+
+def test_a_second_simulator_or_a_new_start_moves_no_delayed_frame() -> None:
+    queue = DelayQueue()
+    follow_simulator(queue.numbers, 1_000_000, 500_000_000)
+    queue.hold(500_200_000, 1, b"late")
+    follow_simulator(queue.numbers, 700_000_000, 500_001_000)  # another clock
+    follow_simulator(queue.numbers, 1_002_000, 500_002_000)
+    assert queue.first_us == 500_200_000
+    follow_simulator(queue.numbers, 1_006_000, 500_005_000)  # 4 ms in 3
+    assert queue.first_us == 500_199_000
