@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from analysis.detection.filter.information import VAGUE_INFORMATION
 from analysis.detection.filter.measurement import Innovations, systems_in_use
 from analysis.orbits.broadcast import troposphere_m
 from analysis.samples.sample import Vector
@@ -28,7 +29,6 @@ ASSUMED_DOF = 10.0  # prior weight of a factor of 1: about one epoch of 14 satel
 LEAST_FACTOR = 0.25  # no receiver is trusted beyond half the modelled sigma
 # North, east, down.
 AXES = 3
-VAGUE_INFORMATION = 1e-4  # 1/m^2, 100 m: of axes that no satellite observes
 
 
 class VarianceFactor(NamedTuple):

@@ -8,7 +8,6 @@ import numpy as np
 from analysis.detection.filter.information import (
     NormalEquations,
     covariance_block,
-    normal_equations,
     posterior_block,
     posterior_statistic,
     rate_equations,
@@ -46,11 +45,12 @@ class EpochStatistics(NamedTuple):
 
 
 @compiled
-def compute_statistics(innovations: Innovations, p: Vector) -> EpochStatistics:
-    """Every test of n innovations against a prediction with covariance p (20, 20)."""
-    h = innovations.geometry
-    ranges = normal_equations(h, innovations.variance, innovations.range_m, innovations.white)
-    rates = rate_equations(h, innovations.rate_variance, innovations.rate_mps)
+def compute_statistics(
+    innovations: Innovations, ranges: NormalEquations, p: Vector
+) -> EpochStatistics:
+    """Every test of n innovations, with their `ranges`, against a prediction with covariance p
+    (20, 20)."""
+    rates = rate_equations(innovations.geometry, innovations.rate_variance, innovations.rate_mps)
     fit = posterior_block(covariance_block(p, ranges.states), ranges)[0]
     fit_rates = posterior_block(covariance_block(p, rates.states), rates)[0]
     parity, dof, systems = parity_test(ranges)

@@ -108,8 +108,8 @@ def compare(
         outside = np.array([name in excluded for name in names])
         out = _select(names, found, above & outside)
         names, found = _select(names, found, above & ~outside)
-    statistics = compute_statistics(found, motion.p)
-    ranges, lasting_s = statistics.ranges, config.sigma.lasting_s
+    lasting_s = config.sigma.lasting_s
+    ranges = normal_equations(found.geometry, found.variance, found.range_m, found.white)
     if len(ranges.white):
         # By as much as lasting errors have changed since; other satellites have others.
         others = memory.ramps is not None and memory.ramps.names != names
@@ -117,7 +117,7 @@ def compare(
         p, observed = motion.p.copy(), np.ix_(ranges.states, ranges.states)
         p[observed] += changed * lasting_covariance(ranges)
         prediction = prediction._replace(motion=motion._replace(p=p))
-        statistics = compute_statistics(found, p)
+    statistics = compute_statistics(found, ranges, prediction.motion.p)
     return Assessment(prediction, memory, names, found, *out, statistics)
 
 

@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 from analysis.samples.sample import GpsFix
 
-LEARNED_FIXES = (
-    100  # before the first test: one that repeats every 20th fix has shown it five times
-)
+# Before the first test: one that repeats every 20th fix has shown it five times.
+LEARNED_FIXES = 100
 # Repetitions beyond the most so far, and for how long; a receiver that ever repeated more than
 # STILL_FIXES (a simulator's) is exempt.
 RUN_FACTOR, RUN_MORE, RUN_US, STILL_FIXES = 3, 10, 500_000, 3
