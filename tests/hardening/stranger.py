@@ -75,8 +75,8 @@ def main() -> int:
     from analysis.web.run_source import RunSource
     from analysis.web.sequence_folder import SequenceFolder
 
-    feed, nobody = Feed(), AccessControl("", frozenset(), frozenset())
-    page = LivePage(feed, RunSource(feed, None), nobody, SequenceFolder(None), True)
+    feed, unused = Feed(), AccessControl("", frozenset(), frozenset())
+    page = LivePage(feed, RunSource(feed, None), unused, SequenceFolder(None), True)
     routes = [route.path for route in page.app.routes]  # type: ignore[attr-defined]
     with serve_page("tcp/127.0.0.1:0", 0) as address:
         port, token = int(address.split(":")[2].partition("/")[0]), address.partition("token=")[2]
