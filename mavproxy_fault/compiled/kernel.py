@@ -29,8 +29,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kernel(function: Function) -> Function:
-    """Let compiled code call a function."""
-    return cast(Function, njit(error_model="numpy")(function))
+    """Let compiled code call a function; Python cannot."""
+    options = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return cast(Function, njit(error_model="numpy", **options)(function))
 
 
 @cache

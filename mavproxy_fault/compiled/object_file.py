@@ -71,18 +71,28 @@ def make() -> None:
 def _compiled() -> bytes:
     """The object file's bytes."""
     from numba import cfunc, config, types
+    from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
     from numba.core.compiler_lock import global_compiler_lock
 
     from mavproxy_fault.compiled.kernel import SHARED
     from mavproxy_fault.compiled.sockets import forward
 
+    # Each function is only translated, as it is; all are optimised together below. Otherwise numba
+    # emits the machine code of each with all that it calls, which takes longer than all else here.
+    instead: list[tuple[Any, str, Any]] = [
+        (config, "OPT", type(config.OPT)(0)),
+        (JITCodeLibrary, "_finalize_final_module", lambda one: setattr(one, "_finalized", True)),
+        (JITCPUCodegen, "set_env", lambda *_: None),  # of functions that have no machine code
+    ]
     with global_compiler_lock:
-        # Each function alone as it is: all are optimised together below.
-        before, config.OPT = config.OPT, type(config.OPT)(0)
+        before = [getattr(owner, name) for owner, name, _ in instead]
         try:
+            for owner, name, value in instead:
+                setattr(owner, name, value)
             compiled = cfunc(types.int64(SHARED), error_model="numpy")(forward)
         finally:
-            config.OPT = before
+            for (owner, name, _), value in zip(instead, before, strict=True):
+                setattr(owner, name, value)
     # All arrays are borrowed; calls that count references would take most of a frame's time.
     module = llvm.parse_assembly(COUNTING.sub("", compiled.inspect_llvm()))
     for function in module.functions:

@@ -21,7 +21,9 @@ def inline_in_kernels(function: Function) -> Function:
     numba's own inlining (`inline="always"`) types the body anew for each call: `log_walk.walk` then
     took 18.6 s of processor time to compile (benchmarks/compile_costs.md).
     """
-    return cast(Function, njit(forceinline=True, no_cfunc_wrapper=True)(function))
+    return cast(
+        Function, njit(forceinline=True, no_cfunc_wrapper=True, no_cpython_wrapper=True)(function)
+    )
 
 
 def _access(bits: int) -> tuple[Any, Any]:
