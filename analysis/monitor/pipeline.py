@@ -30,7 +30,7 @@ from analysis.detection.streams.stream_detector import StreamDetector
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.monitor.filter_step import FilterStep
 from analysis.results import FOREVER_US, Result, SensorDecision
-from analysis.samples.block import NEVER_US, Block, block_of
+from analysis.samples.block import NEVER_US, Block, Stamps, block_of
 from analysis.samples.sample import Sample
 from analysis.scoring.attitude_scores import put_repeaters_last
 from analysis.scoring.attitude_scoring import AUTOPILOTS, AttitudeConfig, AttitudeScorer
@@ -152,12 +152,13 @@ class Pipeline:
             rows = drop_log_gaps(rows, self._lost_us)
             self.alarms[name] += [result for _, result in rows if result.alarm]
             found += rows
-        results = drop_log_gaps(self._filtered(block, found), self._lost_us)
+        tumble_us = track_tumble(block, self._tumble)
+        results = drop_log_gaps(self._filtered(block, found, tumble_us), self._lost_us)
         errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)
         results += [*found, *errors]
         # By row, so that results do not depend on how the stream was cut into blocks.
         results.sort(key=itemgetter(0))
-        lost = track_tumble(block, self._tumble)
+        lost = block.t_us < tumble_us
         actuators = self.states[ACTUATORS]
         if actuators is not None or lost.any():
             crash_us = FOREVER_US if actuators is None else actuators.crash_us
@@ -165,12 +166,13 @@ class Pipeline:
         return results
 
     def _filtered(
-        self, block: Block, found: Sequence[tuple[int, SensorDecision]]
+        self, block: Block, found: Sequence[tuple[int, SensorDecision]], tumble_us: Stamps
     ) -> list[tuple[int, Result]]:
-        """The filter's results, without the IMU while a detector has `found` it faulty."""
+        """The filter's results, without the IMU while a detector has `found` it faulty, or while
+        the attitude is lost."""
         if not len(block.kind):
             return []
-        until = hold_out_until(block, found, self._held_out_us)
+        until = np.maximum(hold_out_until(block, found, self._held_out_us), tumble_us)
         self._held_out_us = int(until[-1])
         rows = trusted_rows(block, until)
         used = block if rows is None else block.where(np.isin(np.arange(len(until)), rows))

@@ -28,6 +28,7 @@ PLANE_PARAMETERS = {  # for a plane that is faster than PX4's default airframe
 }
 # The messages that PX4 sends in a run, and how often.
 STREAMS_HZ = {
+    "HEARTBEAT": 10,  # a mode may last for less than its usual second
     "SYS_STATUS": 2,
     "EXTENDED_SYS_STATE": 2,
     "ESTIMATOR_STATUS": 2,

@@ -8,12 +8,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.detection.actuators.alarm_precedence import IMPACT_MPS2, RELEARNED_US
 from analysis.detection.compass.compass_samples import ZERO, Axis, compass_samples, dot
 from analysis.results import FOREVER_US
-from analysis.samples.block import IMU, MAG, NEVER_US, Block
+from analysis.samples.block import IMU, MAG, NEVER_US, Block, Stamps
 
 # The smallest range of common gyros is 250 degrees/s (4.36 rad/s), a little less if calibrated.
 GYRO_RANGE_RPS = 4.0
@@ -37,8 +36,8 @@ class TumbleState:
     until_us: int = NEVER_US
 
 
-def track_tumble(block: Block, state: TumbleState) -> NDArray[np.bool_]:
-    """Whether the attitude is lost at each row (n,); the state is changed in place."""
+def track_tumble(block: Block, state: TumbleState) -> Stamps:
+    """Until when the attitude is lost, by row (n,); the state is changed in place."""
     until = np.full(len(block.kind), NEVER_US)
     if len(until):
         until[0] = state.until_us
@@ -57,8 +56,7 @@ def track_tumble(block: Block, state: TumbleState) -> NDArray[np.bool_]:
                 until[row] = state.until_us = max(state.until_us, t_us + RELEARNED_US)
             if not 0 <= t_us - state.marked_us < MARK_US:
                 state.older, state.younger, state.marked_us = state.younger, (x, y, z), t_us
-    lost: NDArray[np.bool_] = block.t_us < np.maximum.accumulate(until)
-    return lost
+    return np.maximum.accumulate(until)
 
 
 def _field_turned(field: Axis, before: Axis) -> bool:

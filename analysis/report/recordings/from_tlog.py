@@ -26,11 +26,14 @@ ARMED = 0x80  # MAV_MODE_FLAG_SAFETY_ARMED
 HEADER = ("t_us", "system", "component", "seq")  # columns that are not fields of the message
 TRUTH = "HIL_STATE_QUATERNION"
 # Messages from which a report has curves.
-CRITICAL = {5: "CRITICAL", 6: "EMERGENCY"}  # MAV_STATE
+CRITICAL, TERMINATED = {5: "CRITICAL", 6: "EMERGENCY"}, 8  # MAV_STATE
 SHOWN = {name for name, lines in TLOG.items() if any(line.is_curve for line in lines)}
 TURNING_RPS = 0.05  # chosen: a larger range of a gyroscope means rotation
 SET_MODE = 176  # MAV_CMD_DO_SET_MODE
 SIMULATOR = 51  # component of a HIL simulator
+# Bits of SYS_STATUS whose changes ArduPilot's own log has as errors, by their words there
+HEALTH = {4: "compass", 8: "barometer"}  # MAV_SYS_STATUS_SENSOR_3D_MAG, _ABSOLUTE_PRESSURE
+UNHEALTHY = "error 4"
 MODE_COMMANDS = {
     20: "RTL", 21: "LAND", 22: "TAKEOFF", 84: "TAKEOFF", 85: "LAND", 192: "reposition",
     193: "pause", 300: "mission",
@@ -195,6 +198,8 @@ def _add_vehicle(found: FlightData, vehicle: _Vehicle) -> None:
     _add_local_track(found, vehicle, messages.get("LOCAL_POSITION_NED"))
     _add_modes(found, vehicle)
     _add_texts(found, vehicle)
+    if vehicle.autopilot == ARDUPILOT:
+        _add_health(found, vehicle)
     _add_parameters(found, vehicle)
 
 
@@ -253,9 +258,11 @@ def _add_modes(found: FlightData, vehicle: _Vehicle) -> None:
     if not len(beats):
         return
     kind = vehicle.autopilot, vehicle.kind
+    modes = [mode_name(*kind, mode) for mode in beats["custom_mode"].tolist()]
     # Only CRITICAL and EMERGENCY have a name; other states make no span.
     lanes = (
-        ("mode", [mode_name(*kind, mode) for mode in beats["custom_mode"].tolist()], "mode"),
+        # PX4 still sends the mode that was set when it terminates the flight.
+        ("mode", np.where(beats["system_status"] == TERMINATED, "TERMINATION", modes), "mode"),
         ("armed", np.where(beats["base_mode"] & ARMED, "armed", "disarmed"), "mode"),
         ("system status", [CRITICAL.get(n, "") for n in beats["system_status"].tolist()], "fail"),
     )
@@ -282,6 +289,20 @@ def _add_texts(found: FlightData, vehicle: _Vehicle) -> None:
         graded = OLD_SEVERITIES.get(severity, severity) if old and not others else severity
         # What a companion or a gimbal says is shown, and judges no flight.
         found.events.append(Event(t_s, "note" if others else "text", said, graded))
+
+
+def _add_health(found: FlightData, vehicle: _Vehicle) -> None:
+    """Add sensors that ArduPilot no longer finds healthy, and does again, as its own `ERR` does."""
+    rows = vehicle.columns.get("SYS_STATUS")
+    if rows is None:
+        return
+    enabled, healthy = (rows[f"onboard_control_sensors_{it}"] for it in ("enabled", "health"))
+    t_s = vehicle.clock.seconds(rows)
+    for bit, sensor in HEALTH.items():
+        bad = (enabled & ~healthy & np.bitwise_or.accumulate(healthy) & bit) != 0
+        for at in np.flatnonzero(np.diff(bad, prepend=False)).tolist():
+            text = f"{sensor}: {UNHEALTHY if bad[at] else 'resolved'}{vehicle.suffix}"
+            found.events.append(Event(float(t_s[at]), "error", text, 3 if bad[at] else 6))
 
 
 def _joined_texts(

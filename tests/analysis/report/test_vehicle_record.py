@@ -87,6 +87,29 @@ def test_a_crash_that_the_autopilot_reports_never_passes_because_a_fault_acted()
     assert said.verdict == "FAIL"
 
 
+def test_a_sensor_that_ardupilot_finds_unhealthy_in_flight_is_a_detection() -> None:
+    columns = crashed_log()
+    del columns["HIL_STATE_QUATERNION"]
+    seen = rows_of("SYS_STATUS", T_US, onboard_control_sensors_enabled=0xC)
+    # Not yet known at its start, the compass (4) is lost for a second.
+    known = (T_US > 3_000_000) & ~((T_US >= 15_000_000) & (T_US < 16_000_000))
+    seen["onboard_control_sensors_health"] = np.where(known, 0xC, 0x8)
+    flight = add_derived_curves(recording_of_tlog(columns | {"SYS_STATUS": seen}))
+    found = [(event.t_s, event.text) for event in flight.events if event.kind == "error"]
+    assert found == [(14.0, "compass: error 4"), (15.0, "compass: resolved")]
+    assert vehicle_outcome(flight).outcome == "detected"
+
+
+def test_a_flight_that_px4_terminates_is_so_whatever_mode_was_set() -> None:
+    columns = crashed_log([(15_100_000, "Failsafe activated")])
+    del columns["HIL_STATE_QUATERNION"]
+    beats = columns["HEARTBEAT"]
+    beats["autopilot"], beats["custom_mode"] = 12, 3 << 24 | 4 << 16  # LOITER
+    beats["system_status"] = np.where(beats["t_us"] >= 15_000_000, 8, 4)
+    found = vehicle_outcome(add_derived_curves(recording_of_tlog(columns)))
+    assert (found.failsafe, found.reason) == ("TERMINATION", "Failsafe activated")
+
+
 def test_commands_of_a_ground_station_tell_a_failsafe_from_a_command() -> None:
     columns = crashed_log()
     del columns["HIL_STATE_QUATERNION"]
