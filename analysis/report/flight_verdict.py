@@ -13,6 +13,7 @@ from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.curves.panels import BY_KEY
 from analysis.report.curves.recording import FlightData, Span
 from analysis.report.flight_checks import flight_checks
+from analysis.report.flight_checks.level_checks import compare_motors
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, chain_of, verdict_of
 from analysis.report.judging.fault_reaction import AFTER_FAULT_S, fault_reactions
@@ -46,10 +47,16 @@ class FlightAssessment:
 
 
 @np.errstate(invalid="ignore", over="ignore")  # a log may hold any bits as a number
-def assess_flight(flight: RecordedFlight, thresholds: Thresholds) -> FlightAssessment:
-    """Add derived curves to a flight, run all checks, and summarise."""
+def assess_flight(
+    flight: RecordedFlight, thresholds: Thresholds, references: Sequence[FlightData] = ()
+) -> FlightAssessment:
+    """Add derived curves to a flight, run all checks, and summarise.
+
+    `references` are assessed flights of the same vehicle.
+    """
     recording = add_derived_curves(flight.recording)
     raw = flight_checks(recording, thresholds)
+    raw += [compare_motors(recording, references, thresholds)] if references else []
     checks = [_expected(check, recording) for check in raw]
     faults = flight.summary.get("faults") or fault_reactions(flight.labels, recording, raw)
     # The criteria of a run, or, for any labelled log, that no fault was missed.

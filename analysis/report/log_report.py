@@ -37,7 +37,9 @@ def report_flight(
     ConfigError
         If a log cannot be read, or the folder not be written.
     """
-    outcome = assess_flight(read_flight(paths, labels), read_thresholds(args.criteria))
+    references = [other.flight.recording for other in others]
+    thresholds = read_thresholds(args.criteria)
+    outcome = assess_flight(read_flight(paths, labels), thresholds, references)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

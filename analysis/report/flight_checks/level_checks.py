@@ -1,6 +1,6 @@
 """Checks of curves against limits, a line each in `LEVELS`."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +25,9 @@ from analysis.report.curves.vehicle_phase import (
 )
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import (
+    FAIL,
+    NONE,
+    PASS,
     WARN,
     CheckLimits,
     FlightCheck,
@@ -79,6 +82,30 @@ def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> 
 def bench_checks(recording: FlightData, th: Thresholds, bench: Windows) -> list[FlightCheck]:
     """Check the quantities of receiver and estimator before arming."""
     return [_judge(line, recording, th, bench) for line in LEVELS if line.on_bench]
+
+
+def compare_motors(
+    recording: FlightData, references: Sequence[FlightData], th: Thresholds
+) -> FlightCheck:
+    """Compare each motor's output with that in reference flights of the same vehicle.
+
+    A damaged propeller turns faster for the same thrust. The deviation from the mean of all motors
+    is compared, which load and battery hardly change, by its median over the flight.
+    """
+    name, (warn, fail) = "motors against the reference", th.motor_change
+    limit = CheckLimits(warn, fail).text()
+    here, *others = ({s.name: float(np.median(s.value)) for s in one.of("balance")}
+                     for one in (recording, *references))  # fmt: skip
+    there = [one for one in others if one.keys() == here.keys()]
+    if not here or not there:
+        return FlightCheck(name, NONE, "no outputs of the same motors in both flights", limit)
+    rises = {motor: here[motor] - np.mean([one[motor] for one in there]) for motor in here}
+    worst = max(rises, key=rises.__getitem__)
+    text = f"{worst} at {100 * rises[worst]:+.1f} % of its range, the others at most "
+    text += f"{100 * max(rise for motor, rise in rises.items() if motor != worst):+.1f} %"
+    verdict = FAIL if rises[worst] > fail else WARN if rises[worst] > warn else PASS
+    found = FlightCheck(name, verdict, text, limit, panel="balance", levels=(warn, fail))
+    return restrict_to_classes(found, recording.vehicle, {COPTER})
 
 
 def _judge(

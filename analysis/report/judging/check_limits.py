@@ -46,6 +46,8 @@ class Thresholds(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     height_error_m: tuple[float, float] = (5.0, 15.0)
     impact_mps: tuple[float, float] = (2.0, 3.0)
     motor_balance: tuple[float, float] = (0.15, 0.3)
+    # A real quad's flights with intact propellers differ by up to 0.046 (benchmarks/verdicts.md).
+    motor_change: tuple[float, float] = (0.05, 0.15)
     motor_limit_s: tuple[float, float] = (1.0, 3.0)
     gyro_apart_rps: tuple[float, float] = (0.05, 0.2)
     accel_apart_mps2: tuple[float, float] = (1.0, 3.0)

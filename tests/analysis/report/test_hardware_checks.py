@@ -3,8 +3,10 @@
 import numpy as np
 import pytest
 
+from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.curves.recording import FlightData, GroundTrack, Signal, Span, Vector
 from analysis.report.flight_checks import flight_checks
+from analysis.report.flight_checks.level_checks import compare_motors
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FlightCheck
 
@@ -33,6 +35,17 @@ def test_a_motor_with_a_higher_command_fails_the_balance_check() -> None:
     found = checks(*motors(np.where(T_S > 30, 0.95, 0.5)))
     assert verdict(found, "motor balance") == "FAIL"
     assert "motor 4" in found["motor balance"].evidence
+
+
+def test_a_motor_that_works_harder_than_in_a_reference_flight_is_named() -> None:
+    flights = [FlightData("x", signals=motors(np.full_like(T_S, x))) for x in (0.5, 0.52, 0.61)]
+    good, usual, weak = map(add_derived_curves, flights)
+    assert compare_motors(usual, [good], Thresholds()).verdict == "PASS"
+    found = compare_motors(weak, [good, usual], Thresholds())
+    assert found.verdict == "WARN"
+    assert found.evidence == "motor 4 at +7.5 % of its range, the others at most -2.5 %"
+    surfaces = add_derived_curves(FlightData("x", signals=motors(np.sin(T_S))))
+    assert compare_motors(weak, [surfaces], Thresholds()).verdict == "not judged"
 
 
 def test_a_motor_at_its_limit_fails_once_it_stays_there() -> None:

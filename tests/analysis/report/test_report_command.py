@@ -97,6 +97,7 @@ def test_against_overlays_curves_and_lists_differing_parameters(
     report(one, "--against", other, "--out", tmp_path / "out")
     text = (tmp_path / "out" / "report.html").read_text()
     assert "Checks side by side" in text
+    assert "motors against the reference" in text
     assert "z \\u00b7 other" in text
     assert "<td>WPNAV_SPEED</td>" in text
 
