@@ -8,5 +8,13 @@ function nameParts() {
   document.querySelectorAll(".md-code__nav").forEach((one, n) => one.setAttribute("aria-label", `Code block ${n + 1}`));
 }
 
+// A picture is a link to itself in full size.
+document.querySelectorAll("article img").forEach((picture) => {
+  const link = document.createElement("a");
+  link.href = picture.src;
+  picture.replaceWith(link);
+  link.append(picture);
+});
+
 nameParts();
 new MutationObserver(nameParts).observe(document.body, { childList: true, subtree: true }); // the theme adds them later
