@@ -18,8 +18,8 @@ from mavproxy_fault.links.inbox import Inbox
 from mavproxy_fault.links.link import Chunk, Link
 from mavproxy_fault.proxy.interfaces import Send
 from mavproxy_fault.wire.dialect import find_layout, message_layout
-from mavproxy_fault.wire.frame import HEADER_V2, STX_V2, Frame
-from mavproxy_fault.wire.parser import CRC_LENGTH, Parser, walk_frames
+from mavproxy_fault.wire.frame import CRC_LENGTH, HEADER_V2, STX_V2, Frame
+from mavproxy_fault.wire.parser import Parser, walk_frames
 from simvehicle.hil.hil_frames import HilPacker
 from simvehicle.hil.lockstep import Lockstep
 from simvehicle.sensors.readings import Reading

@@ -4,7 +4,6 @@
 on the frames that it becomes, which lie in `work`. The rules are those of `fault_parts.rules`.
 """
 
-import math
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,10 @@ from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.element_bytes import (
     LARGEST_WHOLE,
     copy_bytes,
+    larger_change,
     little_endian,
     read_element,
+    sent_length,
     write_element,
 )
 from mavproxy_fault.compiled.kernel import choose, draw, i64, kernel, kernel_of
@@ -176,13 +177,8 @@ def _act_on_values(
             )  # fmt: skip
         saturated += write_element(at, bytes_of, kind, new)
         changed |= before != little_endian(at, bytes_of)
-        change = abs(read_element(at, bytes_of, kind) - healthy)
-        change = change if scale == 1.0 else change / scale
-        if math.isfinite(change):
-            largest = max(largest, change)
-    end = step[k.END]
-    while end > size and work[payload + end - 1] == 0:
-        end -= 1
+        largest = larger_change(largest, healthy, read_element(at, bytes_of, kind), scale)
+    end = sent_length(work, payload, size, step[k.END])
     if end > size:
         work[base + 1] = end
         shared.items[item, k.LENGTH_OF] += end - size

@@ -20,8 +20,8 @@ from mavproxy_fault.proxy.routing import target_offsets
 from mavproxy_fault.proxy.senders import UNKNOWN, WALL_OFFSET
 from mavproxy_fault.proxy.vehicle_clock import stamp_location
 from mavproxy_fault.wire.dialect import Layout, find_layout
-from mavproxy_fault.wire.frame import Frame
-from mavproxy_fault.wire.parser import frame_span, walk_frames
+from mavproxy_fault.wire.frame import Frame, frame_header
+from mavproxy_fault.wire.parser import walk_frames
 from mavproxy_fault.wire.signing import SETUP_SIGNING, Signing
 
 if TYPE_CHECKING:
@@ -193,7 +193,7 @@ class CompiledCore:
     ) -> tuple[list[Send], int]:
         """Let the core take a verified frame, or what follows the frames that have passed."""
         self._core_ran = True
-        length, number, _ = frame_span(data, 0) or (0, -1, 0)
+        _, number, length = frame_header(data, 0, len(data))
         if found == k.FRAME and number in self._learned:
             frame = Frame(data[:length], self._learned[number])
             t_us = None if self.loop[k.TIMED] == UNKNOWN else int(self.loop[k.TIMED])

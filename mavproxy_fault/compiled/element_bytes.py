@@ -7,12 +7,15 @@ import numpy as np
 from mavproxy_fault.compiled import layout as k
 from mavproxy_fault.compiled.kernel import i64, kernel, kernel_of
 from mavproxy_fault.fault_parts import elements
+from mavproxy_fault.wire import frame
 from mavproxy_fault.wire.framing import load8, load32, load64, store8, store32, store64
 
 LARGEST_WHOLE = 1 << 53  # larger 64-bit integers are no exact numbers
 
 fit_float = kernel_of(elements.fit_float)
 fit_integer = kernel_of(elements.fit_integer)
+larger_change = kernel_of(elements.larger_change)
+sent_length = kernel_of(frame.sent_length)
 
 
 @kernel

@@ -18,10 +18,13 @@ from mavproxy_fault.proxy import senders as cells
 from mavproxy_fault.proxy.interfaces import NEVER_US
 from mavproxy_fault.proxy.sender_rules import SAMPLE_PERIOD_US
 from mavproxy_fault.proxy.vehicle_clock import HIL_SENSOR
+from mavproxy_fault.wire import frame
 from mavproxy_fault.wire.frame import SIGNATURE_LENGTH
-from mavproxy_fault.wire.framing import frame_header, has_valid_checksum
+from mavproxy_fault.wire.framing import has_valid_checksum
 
 # The rules of the core, as machine code
+frame_header = kernel_of(frame.frame_header)
+has_unknown_flags = kernel_of(frame.has_unknown_flags)
 vehicle_time = kernel_of(sender_rules.vehicle_time)
 link_time = kernel_of(sender_rules.link_time)
 missing_before = kernel_of(sender_rules.missing_before)
@@ -114,7 +117,7 @@ def _send(source: k.Octets, at: int, length: int, mask: int, now_us: int, shared
     segments[segment, k.BYTES_OUT] += length
     if not loop[k.KEEP]:
         return
-    if frame_header(source.ctypes.data, at + length, at)[2] == at + length:
+    if frame_header(source, at, at + length)[2] == at + length:
         _record(shared.sent, k.SENT_AT, now_us, source, at, length, shared)
         return
     place = loop[k.OTHER_AT]  # cut: its length, before the record
@@ -276,9 +279,10 @@ def pass_chunk(shared: Shared) -> None:
     now_us = (loop[k.BASE] + loop[k.CAME]) // 1000
     while found == k.DONE and loop[k.ROW_AT] < loop[k.LENGTH]:
         at = loop[k.ROW_AT]
-        head, number, stop = frame_header(shared.data.ctypes.data, loop[k.LENGTH], at)
+        head, number, stop = frame_header(shared.data, at, loop[k.LENGTH])
         found = k.FULL if _is_full(shared) else k.REST
-        if found == k.REST and head:
+        whole = head > 0 and stop <= loop[k.LENGTH]
+        if found == k.REST and whole and not has_unknown_flags(shared.data, at):
             found = _pass_frame(at, head, number, stop, loop[k.LINK], now_us, shared)
             if found == k.DONE or found == k.NEWS:
                 loop[k.ROW_AT] = stop

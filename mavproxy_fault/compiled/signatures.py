@@ -18,7 +18,7 @@ from mavproxy_fault.wire.signing import DIGEST_LENGTH, KEY_LENGTH
 
 UNDIGESTED = SIGNATURE_LENGTH - DIGEST_LENGTH  # link id and timestamp, which are signed too
 
-stream_cell = kernel_of(signing.stream_cell)
+next_cell = kernel_of(signing.next_cell)
 
 
 @kernel
@@ -45,11 +45,9 @@ def check_signature(at: int, head: int, stop: int, shared: Shared) -> Any:
     sent = little_endian(base + place, DIGEST_LENGTH)
     if sent != _digest(base + at, place - at, shared):
         return True, i64(-1)
-    stream = i64(data[at + 5]) << 16 | i64(data[at + 6]) << 8 | i64(data[place - UNDIGESTED])
-    cell = i64(stream_cell(shared.streams, stream))
-    if cell < 0 or little_endian(base + place - 6, 6) < shared.streams[cell]:
-        return True, i64(-1)
-    return False, cell
+    sender, stamp = i64(data[at + 5]) << 8 | i64(data[at + 6]), little_endian(base + place - 6, 6)
+    cell = i64(next_cell(shared.streams, sender, i64(data[place - UNDIGESTED]), stamp))
+    return cell < 0, cell
 
 
 @kernel

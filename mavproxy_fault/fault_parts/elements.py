@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from mavproxy_fault.fault_parts.fault import Outgoing
 from mavproxy_fault.wire.dialect import PACKERS, Layout, message_layout
-from mavproxy_fault.wire.frame import FLOAT_MAX, INTEGER_LIMITS, Frame, Number
+from mavproxy_fault.wire.frame import FLOAT_MAX, INTEGER_LIMITS, Frame, Number, sent_length
 
 
 class Element(NamedTuple):
@@ -52,6 +52,15 @@ def fit_integer(value: Number, low: int, high: int) -> tuple[int, bool]:
     return round(value), False
 
 
+def larger_change(largest: float, before: Number, after: Number, scale: float) -> float:
+    """Return the larger of a label's magnitude, -1 for none, and a change; a rule.
+
+    NaN and infinity have no magnitude.
+    """
+    change = abs(after - before) / scale
+    return max(largest, change) if change < math.inf else largest
+
+
 def fit_to_type(code: str, value: Number) -> tuple[Number, bool]:
     """Return the nearest value that a type can hold, and whether it was saturated."""
     if code == "f":
@@ -78,21 +87,20 @@ def write_elements(
     scale of its element. The payload grows only as far as a change reaches into truncated zeros.
     """
     payload = bytearray(frame.payload.ljust(frame.layout.length, b"\0"))
-    step, saturated = -1.0, 0
+    largest, saturated = -1.0, 0
     for one, value, scale in zip(elements, after, scales or (1,) * len(elements), strict=True):
         packer = PACKERS[one.code]
         (healthy,) = packer.unpack_from(payload, one.start)
         stored, cut = fit_to_type(one.code, value)
         packer.pack_into(payload, one.start, stored)
-        change = abs(packer.unpack_from(payload, one.start)[0] - healthy)
-        # NaN and infinity have no magnitude for a label.
-        step = max(step, change / scale if scale != 1 else change) if change < math.inf else step
+        changed = packer.unpack_from(payload, one.start)[0]
+        largest = larger_change(largest, healthy, changed, scale)
         saturated += cut
-    changed = bytes(payload[: frame.length] + payload[frame.length :].rstrip(b"\0"))
-    if changed == frame.payload:
+    sent = bytes(payload[: sent_length(payload, 0, frame.length, len(payload))])
+    if sent == frame.payload:
         return Outgoing(t_us, frame)
-    size = step if step >= 0.0 else None
-    return Outgoing(t_us, frame.with_payload(changed), size, saturated)
+    size = largest if largest >= 0.0 else None
+    return Outgoing(t_us, frame.with_payload(sent), size, saturated)
 
 
 def patch_frame(frame: Frame, values: Mapping[Element, Number]) -> Frame:

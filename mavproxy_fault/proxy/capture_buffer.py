@@ -10,8 +10,7 @@ received record. Signing keys (SETUP_SIGNING) are stored as zeros.
 import struct
 from dataclasses import dataclass, field
 
-from mavproxy_fault.wire.frame import STX_V1, STX_V2
-from mavproxy_fault.wire.parser import frame_span
+from mavproxy_fault.wire.frame import frame_header
 from mavproxy_fault.wire.signing import SETUP_SIGNING, mask_signing_keys
 
 STAMP = struct.Struct(">Q")
@@ -92,7 +91,4 @@ class CaptureBuffer:
 
 def has_frame_shape(raw: bytes) -> bool:
     """Whether the bytes have the length and start byte of one frame, whatever its CRC."""
-    if not raw or raw[0] not in (STX_V1, STX_V2):
-        return False
-    place = frame_span(raw, 0)
-    return place is not None and place[0] == len(raw)
+    return bool(raw) and frame_header(raw, 0, len(raw))[2] == len(raw)

@@ -12,7 +12,7 @@ References
 """
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from fastcrc.crc16 import mcrf4xx
 
@@ -22,6 +22,7 @@ STX_V1 = 0xFE
 STX_V2 = 0xFD
 SIGNED = 0x01  # incompat flag
 SIGNATURE_LENGTH = 13
+CRC_LENGTH = 2
 HEADER_V1 = 6
 HEADER_V2 = 10
 
@@ -124,6 +125,40 @@ class Frame:
         # Unchanged; the holder of the key signs again.
         signature = raw[self.payload_at + self.length + 2 :]
         return Frame(raw[:1] + body + checksum(body, layout.crc_extra) + signature, layout)
+
+
+def frame_header(data: Sequence[int], at: int, size: int) -> tuple[int, int, int]:
+    """Return header length, message id and end of the frame at `at`, zeros if there is none.
+
+    A rule in numbers only, which is compiled too. Of `data` the first `size` bytes are read; the
+    end may lie beyond them.
+    """
+    if at + HEADER_V1 > size:
+        return 0, 0, 0
+    if data[at] == STX_V2 and at + HEADER_V2 <= size:
+        signature = SIGNATURE_LENGTH if data[at + 2] & SIGNED else 0
+        number = data[at + 7] + 0x100 * data[at + 8] + 0x10000 * data[at + 9]
+        return HEADER_V2, number, at + HEADER_V2 + data[at + 1] + CRC_LENGTH + signature
+    if data[at] == STX_V1:
+        # numba: a sum is of the same type as above
+        return HEADER_V1, 0 + data[at + 5], at + HEADER_V1 + data[at + 1] + CRC_LENGTH
+    return 0, 0, 0
+
+
+def has_unknown_flags(data: Sequence[int], at: int) -> bool:
+    """Whether a frame's incompat flags forbid a receiver to read it; a rule in numbers only."""
+    return data[at] == STX_V2 and data[at + 2] & ~SIGNED != 0
+
+
+def sent_length(payload: Sequence[int], begin: int, sent: int, changed: int) -> int:
+    """Return the length of a changed payload of which `sent` bytes were sent; a rule in numbers.
+
+    It grows only as far as the change, up to `changed`, reaches into truncated zeros. The payload
+    starts at `begin`.
+    """
+    while changed > sent and payload[begin + changed - 1] == 0:
+        changed -= 1
+    return max(changed, sent)
 
 
 def checksum(body: bytes, extra: int) -> bytes:

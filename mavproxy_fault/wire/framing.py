@@ -114,30 +114,6 @@ def range_crc(start: Any, stop: Any, extra: Any, tables: Any) -> Any:
 
 
 @inline_in_kernels
-def frame_header(base: Any, size: Any, at: Any) -> Any:
-    """Return header length, message id and end of the frame at `at`; zeros if it is incomplete.
-
-    `base` is the address of the data; `size` and `at` are byte offsets from it. Every message has
-    a payload, so at least 9 bytes of a version 1 frame and 12 of a version 2 frame can be read.
-    """
-    if at + 12 > size and (at + 9 > size or byte_at(base + at) != 0xFE):
-        return 0, 0, 0
-    first = byte_at(base + at)
-    if first == 0xFE:
-        head, number, tail = 6, np.int64(byte_at(base + at + 5)), np.int64(2)
-    elif first == 0xFD and byte_at(base + at + 2) <= 1:
-        word = load64(np.uint64(base + at + 4)) >> np.uint64(24)  # within the 12 bytes
-        head, number = 10, np.int64(word & np.uint64(0xFFFFFF))
-        tail = 2 + 13 * np.int64(byte_at(base + at + 2))  # a signature is 13 bytes
-    else:
-        return 0, 0, 0
-    end = at + head + np.int64(byte_at(base + at + 1)) + tail
-    if end > size:
-        return 0, 0, 0
-    return head, number, end
-
-
-@inline_in_kernels
 def has_valid_checksum(base: Any, at: Any, head: Any, extra: Any, tables: Any) -> Any:
     """Whether the checksum of the frame at `at` is correct; `head` is its header length."""
     tail = base + at + head + np.int64(byte_at(base + at + 1))

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.wire import frame
 from mavproxy_fault.wire.framing import (
     big_endian64,
     byte_at,
-    frame_header,
     has_valid_checksum,
     inline_in_kernels,
     load8,
@@ -25,6 +25,9 @@ from mavproxy_fault.wire.framing import (
 
 Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int64]
+
+frame_header = inline_in_kernels(frame.frame_header)
+has_unknown_flags = inline_in_kernels(frame.has_unknown_flags)
 
 HEAD = 11  # bytes of a row before the payload: t_us, system, component, seq
 SLACK = 16  # bytes that must follow the rows of each message: stores are eight bytes wide
@@ -68,13 +71,16 @@ def _follows(base: Any, size: Any, at: Any, end: Any) -> Any:
 
 
 @inline_in_kernels
-def _record(base: Any, size: Any, probe: Any, previous: Any, messages: Any) -> Any:
+def _record(data: Any, base: Any, probe: Any, previous: Any, messages: Any) -> Any:
     """Whether a frame is at `probe`, its slot and its end.
 
     A message that the dialect does not know has no checksum to verify: it counts as a frame only
     between a record that ended at `previous` and one that follows.
     """
-    head, number, end = frame_header(base, size, probe)
+    size = data.shape[0]
+    head, number, end = frame_header(data, probe, size)
+    if head and (end > size or has_unknown_flags(data, probe)):
+        head = 0
     slot = np.int16(UNKNOWN)
     if head and number < messages.slots.shape[0]:
         slot = messages.slots[number]
@@ -114,7 +120,7 @@ def walk(data: Bytes, start: int, messages: LogMessages, frames: LogFrames) -> t
     previous, probe = start, start + 8  # the end of the last record, and where a frame may begin
     in_line = True  # the next frame is where the last record says it is
     while found < frames.at.shape[0] and (in_line or probe + 8 <= size):
-        good, slot, end = _record(base, size, probe, previous, messages)
+        good, slot, end = _record(data, base, probe, previous, messages)
         if not good:
             # A lost byte may lie in the stamp: then the frame starts early, so look from its start.
             probe = previous if in_line else probe + 1

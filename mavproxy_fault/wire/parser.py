@@ -18,17 +18,16 @@ from fastcrc.crc16 import mcrf4xx
 
 from mavproxy_fault.wire.dialect import Layout, find_layout, unknown_layout
 from mavproxy_fault.wire.frame import (
+    CRC_LENGTH,
     HEADER_V1,
-    HEADER_V2,
-    SIGNATURE_LENGTH,
-    SIGNED,
     STX_V1,
     STX_V2,
     Frame,
     checksum,
+    frame_header,
+    has_unknown_flags,
 )
 
-CRC_LENGTH = 2
 MAX_UNKNOWN_IDS = 256  # chosen: more than a dialect has; bounds the memory against random ids
 NO_FRAME = (-1, -1)
 START_BYTES = re.compile(b"[%c%c]" % (STX_V1, STX_V2))
@@ -53,9 +52,8 @@ class Junk:
         """Return a frame of an unknown message, whose header can be read; None for other bytes."""
         if self.kind != "unknown":
             return None
-        place = frame_span(self.raw, 0)
-        assert place is not None
-        _, number, checked = place
+        head, number, _ = frame_header(self.raw, 0, len(self.raw))
+        checked = head + self.raw[1]
         extra = _crc_extra_of(self.raw[1:checked], self.raw[checked : checked + CRC_LENGTH])
         assert extra is not None
         return Frame(self.raw, unknown_layout(number, extra))
@@ -169,27 +167,27 @@ class Parser:
 
     def _candidate(self, data: bytes, at: int) -> Frame | Junk | Literal[False] | None:
         """Parse the item at a start byte; None if it is incomplete, False if it is not a frame."""
-        place = frame_span(data, at)
-        if place is None or at + place[0] > len(data):
+        head, number, end = frame_header(data, at, len(data))
+        if head == 0 or end > len(data):
             return None
-        length, number, checked = place
+        checked = at + head + data[at + 1]
         # A stream has few message ids: cache their layouts, including unknown ones.
         if number in self._layouts:
             known = self._layouts[number]
         else:
             known = self._layouts[number] = find_layout(number)
-        crc, body = data[at + checked : at + checked + CRC_LENGTH], data[at + 1 : at + checked]
+        crc, body = data[checked : checked + CRC_LENGTH], data[at + 1 : checked]
         if known is None:
-            if _crc_extra_of(body, crc) is None or self._contains_frame(data, at, at + length):
+            if _crc_extra_of(body, crc) is None or self._contains_frame(data, at, end):
                 return False
             self.counters.note_unknown(number)
-            return Junk(data[at : at + length], "unknown")
+            return Junk(data[at:end], "unknown")
         if checksum(body, known.crc_extra) != crc:
             self.counters.crc_errors += 1
             return False
-        raw = data[at : at + length]
+        raw = data[at:end]
         # MAVLink: a receiver must not read frames with unknown incompat flags.
-        if raw[0] == STX_V2 and raw[2] & ~SIGNED:
+        if has_unknown_flags(raw, 0):
             self.counters.note_unknown(number)
             return Junk(raw, "unknown")
         self.counters.frames += 1
@@ -206,29 +204,15 @@ class Parser:
         return inside is not None
 
 
-def frame_span(data: bytes, at: int) -> tuple[int, int, int] | None:
-    """Read a frame's length, message id and CRC offset from its header; None if it is cut."""
-    if data[at] == STX_V2:
-        if at + HEADER_V2 > len(data):
-            return None
-        checked = HEADER_V2 + data[at + 1]
-        length = checked + CRC_LENGTH + (SIGNATURE_LENGTH if data[at + 2] & SIGNED else 0)
-        return length, int.from_bytes(data[at + 7 : at + HEADER_V2], "little"), checked
-    if at + HEADER_V1 > len(data):
-        return None
-    checked = HEADER_V1 + data[at + 1]
-    return checked + CRC_LENGTH, data[at + 5], checked
-
-
 def walk_frames(data: bytes) -> Iterator[tuple[int, int, int]]:
     """Yield start, end and message id of the complete frames that bytes begin with, unverified."""
     at = 0
-    while at < len(data) and data[at] in (STX_V1, STX_V2):
-        place = frame_span(data, at)
-        if place is None or at + place[0] > len(data):
+    while at < len(data):
+        head, number, end = frame_header(data, at, len(data))
+        if head == 0 or end > len(data):
             return
-        yield at, at + place[0], place[1]
-        at += place[0]
+        yield at, end, number
+        at = end
 
 
 def begins_with_frame(data: bytes) -> bool:
@@ -249,12 +233,12 @@ def _find_frame_inside(data: bytes, start: int, end: int) -> tuple[int, int] | N
     # An unknown message whose CRC passes by chance must not hide a known one.
     for begin in START_BYTES.finditer(data, start, max(start, end - HEADER_V1 - CRC_LENGTH + 1)):
         at = begin.start()
-        place = frame_span(data, at)
-        if place is None or at + place[0] > end:
+        head, number, stop = frame_header(data, at, end)
+        if head == 0 or stop > end:
             continue
-        known = find_layout(place[1])
-        checked = at + place[2]
+        known = find_layout(number)
+        checked = at + head + data[at + 1]
         sent = data[checked : checked + CRC_LENGTH]
         if known is not None and checksum(data[at + 1 : checked], known.crc_extra) == sent:
-            return at, at + place[0]
+            return at, stop
     return None

@@ -14,12 +14,18 @@ from array import array
 from collections.abc import MutableSequence
 
 from mavproxy_fault.wire.dialect import message_layout
-from mavproxy_fault.wire.frame import SIGNATURE_LENGTH, SIGNED, STX_V2, Frame, checksum
+from mavproxy_fault.wire.frame import (
+    CRC_LENGTH,
+    SIGNATURE_LENGTH,
+    SIGNED,
+    STX_V2,
+    Frame,
+    checksum,
+)
 
 DIGEST_LENGTH = 6
 KEY_LENGTH = 32
 STREAMS = 4096  # chosen: with the key a peer could make up 2^24
-CRC_LENGTH = 2
 SETUP_SIGNING = message_layout("SETUP_SIGNING").id
 KEY_AT = message_layout("SETUP_SIGNING").fields["secret_key"].offset
 _SETUP_SIGNING = SETUP_SIGNING.to_bytes(3, "little")
@@ -51,6 +57,15 @@ def stream_cell(streams: MutableSequence[int], stream: int) -> int:
     return -1
 
 
+def next_cell(streams: MutableSequence[int], sender: int, link_id: int, stamp: int) -> int:
+    """Return the `stream_cell` of a signed frame; -1 if it is no newer than the stream's last.
+
+    A rule in numbers too. A replayed frame has a correct signature but an old timestamp.
+    """
+    cell = stream_cell(streams, sender << 8 | link_id)
+    return cell if cell >= 0 and stamp >= streams[cell] else -1
+
+
 class Verifier:
     """Verifies signatures with one key; `streams` has the state of `stream_cell`."""
 
@@ -63,14 +78,11 @@ class Verifier:
         raw = frame.raw
         if raw[-DIGEST_LENGTH:] != _digest(self.key, raw):
             return False
-        stream = frame.system << 16 | frame.component << 8 | raw[-SIGNATURE_LENGTH]
-        stamp = int.from_bytes(raw[STAMP_AT], "little")
-        cell = stream_cell(self.streams, stream)
-        # A replayed frame has a correct signature but an old timestamp.
-        if cell < 0 or stamp < self.streams[cell]:
-            return False
-        self.streams[cell] = stamp + 1
-        return True
+        stamp, sender = int.from_bytes(raw[STAMP_AT], "little"), frame.system << 8 | frame.component
+        cell = next_cell(self.streams, sender, raw[-SIGNATURE_LENGTH], stamp)
+        if cell >= 0:
+            self.streams[cell] = stamp + 1
+        return cell >= 0
 
 
 def resign_frame(frame: Frame, key: bytes) -> Frame:

@@ -23,8 +23,14 @@ from numpy.typing import NDArray
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.crc import SLICES, slicing_tables
 from mavproxy_fault.wire.dialect import Layout, message_layout, message_names
-from mavproxy_fault.wire.frame import HEADER_V1, HEADER_V2, SIGNATURE_LENGTH, SIGNED, Frame
-from mavproxy_fault.wire.parser import frame_span
+from mavproxy_fault.wire.frame import (
+    HEADER_V1,
+    HEADER_V2,
+    SIGNATURE_LENGTH,
+    SIGNED,
+    Frame,
+    frame_header,
+)
 from mavproxy_fault.wire.written import written_bytes
 
 if TYPE_CHECKING:  # numba is loaded only when a log is read
@@ -254,8 +260,8 @@ def _foreign_frames(
         raw, place, some = data[ends[gap] : begins[gap]].tobytes(), 8, []
         while place + HEADER_V2 < len(raw) and raw[place] in (0xFD, 0xFE):
             some.append(int(ends[gap]) + place)
-            length, _, _ = frame_span(raw, place) or (0, 0, 0)
-            place += length + 8
+            _, _, end = frame_header(raw, place, len(raw))
+            place = (end or place) + 8
         found += some if place == len(raw) + 8 else []
     places = np.array(found, np.int64)
     stamps = data[places[:, None] - np.arange(8, 0, -1)].view(">i8")[:, 0].astype(np.int64)

@@ -20,8 +20,7 @@ from mavproxy_fault.proxy.capture_buffer import LENGTH, STAMP
 from mavproxy_fault.proxy.interfaces import LinkRole
 from mavproxy_fault.proxy.sender_rules import MAX_STAMP_US
 from mavproxy_fault.wire.dialect import find_layout
-from mavproxy_fault.wire.frame import STX_V1, STX_V2
-from mavproxy_fault.wire.parser import frame_span
+from mavproxy_fault.wire.frame import HEADER_V2, STX_V1, STX_V2, frame_header
 
 VEHICLE, OTHERS = 0, 1
 ROLES = (LinkRole("vehicle", "from-vehicle"), LinkRole("others", "to-vehicle"))
@@ -118,9 +117,9 @@ def split_records(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _record_end(data: bytes, at: int) -> int:
-    header = frame_span(data, at) if data[at] in (STX_V1, STX_V2) else None
+    _, _, end = frame_header(data, at, len(data))
     # Without a valid header the record extends to the end of the file.
-    return len(data) if header is None else min(at + header[0], len(data))
+    return min(end, len(data)) or len(data)
 
 
 def _find_record(data: bytes, start: int, t_us: int | None) -> int | None:
@@ -145,14 +144,11 @@ def _find_record(data: bytes, start: int, t_us: int | None) -> int | None:
 
 
 def _link_of(raw: bytes, simulators: set[bytes]) -> int:
-    # Without a complete header, sender and message are unknown.
-    if raw[0] == STX_V2 and len(raw) > 9:
-        # System and component id, then three bytes of message id.
-        source, known = raw[5:7], find_layout(int.from_bytes(raw[7:10], "little"))
-    elif raw[0] == STX_V1 and len(raw) > 5:
-        source, known = raw[3:5], find_layout(raw[5])
-    else:
+    head, number, _ = frame_header(raw, 0, len(raw))
+    if head == 0:  # without a complete header, sender and message are unknown
         return VEHICLE
+    place = 5 if head == HEADER_V2 else 3
+    source, known = raw[place : place + 2], find_layout(number)
     # An autopilot sends HIL controls; a sender of other HIL messages is a simulator.
     if known is not None and known.name.startswith("HIL_") and known.name not in FROM_AUTOPILOT:
         simulators.add(source)
