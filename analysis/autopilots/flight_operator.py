@@ -17,6 +17,9 @@ TYPE_GCS, NO_AUTOPILOT = 6, 8
 ARMED_FLAG = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 POSITION, CONSTANT_POSITION = 0x10, 0x80  # EKF_STATUS_REPORT.flags, ESTIMATOR_STATUS.flags
 RETRY_US = 1_000_000
+# Vehicle time at whose multiples the vehicle is armed: how soon an autopilot is ready depends on
+# the machine, and with it the noise at which a fault begins.
+ARMING_PERIOD_US = 10_000_000
 OPERATOR_PERIOD_US = 40_000  # vehicle time between two steps of the operator
 # Streams that are recorded, but that the operator does not need
 IGNORED_STREAMS = frozenset(
@@ -200,6 +203,8 @@ class Operator:
         self.phase = phase
         self._phase_since_us = self._t_us
         self._retry_us = 0
+        if phase is Phase.ARMING:
+            self._retry_us = -(-self._t_us // ARMING_PERIOD_US) * ARMING_PERIOD_US
         if phase in (Phase.LANDING, Phase.LANDED):
             self._note_event(str(phase))
 

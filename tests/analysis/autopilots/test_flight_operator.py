@@ -64,6 +64,12 @@ class Autopilot:
             frames = self.second(READY)
         return frames
 
+    def commanded(self):
+        """Step until the operator sends commands; return those."""
+        while not (sent := commands(self.second())):
+            pass
+        return sent
+
     def up_to(self, phase):
         self.settle()
         if phase is Phase.ARMING:
@@ -78,7 +84,18 @@ def test_the_vehicle_is_not_armed_before_the_estimator_has_a_position():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     assert names(autopilot.second(LOST)) == ["HEARTBEAT"]
     assert autopilot.operator.phase is Phase.WAITING
-    assert commands(autopilot.settle()) == [(176, 4.0), (400, 0.0)]
+    autopilot.settle()
+    assert autopilot.commanded() == [(176, 4.0), (400, 0.0)]
+
+
+def test_the_vehicle_is_armed_at_a_multiple_of_ten_seconds_however_soon_it_was_ready():
+    for late in range(1, 10):
+        autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
+        for _ in range(late):
+            autopilot.second(LOST)
+        autopilot.settle()
+        autopilot.commanded()
+        assert autopilot.t_us == 20 * SECOND_US
 
 
 def test_the_position_must_be_settled():
@@ -166,7 +183,8 @@ def test_a_mission_is_uploaded_item_by_item_and_flown():
     assert items[1].number("param2") == 6.0
     assert items[3].number("x") == 474_010_000
     assert items[3].number("z") == 25.0
-    assert (176, 4.0) in commands(autopilot.second(frame("MISSION_ACK", type=0)))
+    autopilot.second(frame("MISSION_ACK", type=0))
+    assert (176, 4.0) in autopilot.commanded()
     autopilot.second(frame("HEARTBEAT", base_mode=217))
     frames = autopilot.second(frame("GLOBAL_POSITION_INT", relative_alt=19_000))
     assert commands(frames) == [(176, 3.0), (300, 0.0)]
