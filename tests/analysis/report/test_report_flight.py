@@ -369,6 +369,9 @@ TEXTS = {
         "FAIL",
         "'Crash: Disarming: AngErr=45>30' at 100.6 s",
     ),
+    "a transmitter switched off behind the landing": (
+        [text(100.3, "Radio Failsafe - Disarming", 1)], "PASS", "",
+    ),
     "said on the bench afterwards": ([text(110, "Crash: check", 0)], "PASS", ""),
     "sixty times": (
         [text(20 + 0.5 * i, "Throttle saturated", 2) for i in range(60)],

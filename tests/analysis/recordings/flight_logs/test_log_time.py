@@ -45,6 +45,11 @@ def test_a_clock_that_is_set_moves_no_row(by_us: int, begin_us: int | None) -> N
     assert (found.settings, found.restarts) == (1, 0)
 
 
+def test_stamps_at_the_end_of_their_range_overflow_nothing() -> None:
+    wild = np.where(np.arange(len(AT)) // 100 % 2, (1 << 63) - 1, -(1 << 62))
+    assert len(placed(wild).times["imu"]) == len(AT)
+
+
 def test_rows_without_stamps_lie_between_those_that_have_one() -> None:
     some = RowStamps(AT[::100] + 30, None)
     for stamps in (np.where(DENSE_US < 120_000_000, DENSE_US, 0), DENSE_US):
