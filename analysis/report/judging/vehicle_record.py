@@ -175,15 +175,17 @@ def _hovers(recording: FlightData) -> bool:
 def _steered(recording: FlightData) -> Windows:
     """When a pilot moves the vehicle by the sticks of roll and pitch, and until it has braked.
 
-    ArduPilot's LOITER is a pilot's mode: without the sticks in the log it may be steered any time.
+    ArduPilot's LOITER is a pilot's mode, and GUIDED that of a ground station: without the sticks
+    or any command in the log they may be steered any time.
     """
     sticks = [(curve, 0.0, STICK_SHARE) for curve in recording.of("sticks")
               if curve.name in ("roll", "pitch")]  # fmt: skip
     sticks = sticks or [(curve, CENTRE_US, STICK_SHARE * HALF_RANGE_US)
                         for curve in recording.of("rc") if curve.name in STEERING]  # fmt: skip
-    if not sticks and recording.autopilot == "ardupilot":
-        return [(s.start_s, s.end_s) for s in recording.spans if s.text == "LOITER"]
-    found = []
+    commands = any(event.kind == "command" for event in recording.events)
+    unseen = [mode for mode, seen in (("LOITER", sticks), ("GUIDED", commands)) if not seen]
+    unseen = unseen if recording.autopilot == "ardupilot" else []
+    found = [(s.start_s, s.end_s) for s in recording.spans if s.text in unseen]
     for curve, centre, least in sticks:
         moved = np.abs(curve.value - centre) > least
         found += [(float(curve.t_s[begin]), float(curve.t_s[end - 1]) + BRAKED_S)

@@ -125,6 +125,14 @@ def loiter(sticks: list[Signal]) -> FlightData:
     )  # fmt: skip
 
 
+def test_a_copter_that_is_guided_by_commands_outside_the_log_leaves_no_place() -> None:
+    flight = loiter([])
+    flight.spans[1] = flight.spans[1]._replace(text="GUIDED")
+    assert vehicle_outcome(flight).excursion_m == 0.0
+    flight.events.append(Event(1.0, "command", "GUIDED"))
+    assert vehicle_outcome(flight).excursion_m == pytest.approx(60.0, abs=1.0)
+
+
 def channel(moved_us: float) -> list[Signal]:
     t_s = np.arange(0.0, 60.0, 0.1)
     pushed = (t_s > 19.0) & (t_s < 29.0)
