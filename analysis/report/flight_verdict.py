@@ -28,11 +28,14 @@ from analysis.scoring.vehicle_outcome import is_crash_text
 EVENTS_KEPT = 200  # chosen: of events with one text but for its numbers, in the summary
 NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
 MET = {True: PASS, False: FAIL, None: NONE}
-# Checks of the autopilot's own alarms, which are expected while a fault is injected.
-AUTOPILOT_ALARMS = {
+# Alarms and errors that are expected while a fault is injected: what it did to the vehicle is
+# judged by the vehicle's outcome.
+FAULT_EFFECTS = {
     "GPS fix", "GPS satellites", "GPS dilution of precision", "GPS jumps", "GPS jamming indicator",
     "innovation test ratios", "EKF variances", "compass field strength", "vibration",
     "accelerometer clipping", "messages of the autopilot", "flags of the autopilot",
+    "system status of the autopilot", "estimate steps", "position against the truth",
+    "height against the truth", "attitude against the truth",
 }  # fmt: skip
 
 
@@ -74,7 +77,7 @@ def assess_flight(
 def _expected(check: FlightCheck, recording: FlightData) -> FlightCheck:
     """Pass a check whose alarms were all raised while a fault was injected."""
     injected = [span for span in recording.spans if span.kind == "injected"]
-    if check.name not in AUTOPILOT_ALARMS or check.verdict not in (WARN, FAIL) or not injected:
+    if check.name not in FAULT_EFFECTS or check.verdict not in (WARN, FAIL) or not injected:
         return check
     # No fault makes a crash pass.
     if is_crash_text(check.evidence):

@@ -62,6 +62,11 @@ SAFETY_MODES = frozenset(
 )  # fmt: skip
 HOLD_MODES = frozenset(("LAND", "LOITER", "BRAKE", "GUIDED", "DESCEND"))  # it stays in its place
 ACROBATIC_MODES = frozenset(("ACRO", "FLIP", "RATTITUDE", "MANUAL", "THROW"))
+PILOT_MODES = frozenset(  # in which a pilot's throttle commands the descent
+    ("MANUAL", "STABILIZE", "STABILIZED", "ACRO", "RATTITUDE", "ALT_HOLD", "ALTCTL", "LOITER",
+     "POSHOLD", "POSCTL", "POSITION SLOW", "SPORT", "DRIFT", "TRAINING", "FBWA", "FBWB", "CRUISE",
+     "QSTABILIZE", "QHOVER", "QLOITER", "QACRO")
+)  # fmt: skip
 LANDING_MODES = frozenset(("LAND", "RTL", "SMART_RTL", "AUTO_RTL", "QLAND", "QRTL", "PRECLAND"))
 
 
@@ -99,7 +104,8 @@ class VehicleRecord(NamedTuple):
     `errors_m`, `errors_deg` are the errors of the autopilot's estimates as (times, values).
     `alarms` are the autopilot's warnings, `force` is the accelerometers' norm.
     `expelled` are changes of mode that the log itself calls a failsafe; a vehicle that `hovers`
-    stays in its place in some modes, but while it is `steered`.
+    stays in its place in some modes, but while it is `steered`; while a pilot has `lowered` the
+    throttle it is to descend.
     """
 
     motion: VehicleMotion | None
@@ -114,6 +120,7 @@ class VehicleRecord(NamedTuple):
     force: tuple[Vector, Vector] | None = None
     hovers: bool = False
     steered: Sequence[tuple[float, float]] = ()
+    lowered: Sequence[tuple[float, float]] = ()
 
 
 class VehicleEvent(msgspec.Struct, frozen=True):
@@ -162,8 +169,8 @@ def judge_vehicle(record: VehicleRecord) -> VehicleOutcome:
     tested = motion is not None and record.armed != []
     end_tilt_deg, upset = _find_upset(record, motion) if motion and tested else (None, [])
     # One that acts on the ground, before the take-off or behind a crash, is one too.
-    acting = (record.armed[0][0], record.armed[-1][1]) if record.armed else flown
-    failsafes = find_failsafes(record, acting) if acting else []
+    acting = record.armed or ([flown] if flown else [])
+    failsafes = find_failsafes(record, acting)
     first = next(iter(failsafes), None)
     mode, _, reason = first.text.partition(": ") if first else ("", "", "")
     judged = VehicleOutcome(
@@ -377,13 +384,15 @@ def mode_at(record: VehicleRecord, t_s: float) -> str:
     return next((mode.text for mode in reversed(record.modes) if mode.t_s <= t_s), "")
 
 
-def find_failsafes(record: VehicleRecord, acting: tuple[float, float]) -> list[VehicleEvent]:
+def find_failsafes(
+    record: VehicleRecord, acting: Sequence[tuple[float, float]]
+) -> list[VehicleEvent]:
     """Modes that the autopilot entered by itself while armed, each with its own words, and
     failsafes that it reports without a change of mode."""
     said = [text for text in record.texts if FAILSAFE_TEXT.search(text.text)]
     found = []
     for previous, mode in zip(record.modes, record.modes[1:], strict=False):
-        if not acting[0] <= mode.t_s <= acting[1] or mode.text == previous.text:
+        if not _is_inside(mode.t_s, acting) or mode.text == previous.text:
             continue
         if _is_near(mode.t_s, record.commands or (), -COMMAND_S, 0.1):
             continue
@@ -398,11 +407,15 @@ def find_failsafes(record: VehicleRecord, acting: tuple[float, float]) -> list[V
             found.append(VehicleEvent(round(mode.t_s, 3), FAILSAFE, f"{mode.text}: {words}"))
     marked = [TimedText(event.t_s, event.text) for event in found]
     for text in (*said, *record.expelled):
-        if acting[0] <= text.t_s <= acting[1] and not _is_near(text.t_s, marked, -60.0, REASON_S):
+        if _is_inside(text.t_s, acting) and not _is_near(text.t_s, marked, -60.0, REASON_S):
             mode_name = mode_at(record, text.t_s) or "no change of mode"
             found.append(VehicleEvent(round(text.t_s, 3), FAILSAFE, f"{mode_name}: {text.text}"))
             marked.append(text)
     return sorted(found, key=lambda event: event.t_s)
+
+
+def _is_inside(t_s: float, windows: Sequence[tuple[float, float]]) -> bool:
+    return any(start_s <= t_s <= end_s for start_s, end_s in windows)
 
 
 def _is_near(t_s: float, marks: Sequence[TimedText], from_s: float, to_s: float) -> bool:
@@ -503,8 +516,10 @@ def _find_touchdown(
     commanded = record.commands is None or any(
         command.text in LANDING_MODES or command.text == "mission" for command in record.commands
     )
+    mode = mode_at(record, t_s)
+    piloted = mode in PILOT_MODES and _is_inside(t_s, record.lowered)
     # Autonomous landings at the end of a mission are what the mission commands.
-    asked = commanded or mode_at(record, t_s) in ("AUTO", "MISSION") or explained
+    asked = commanded or piloted or mode in ("AUTO", "MISSION") or explained
     touchdown = VehicleEvent(t_s, "touchdown")
     return [touchdown] if asked else [touchdown, VehicleEvent(t_s, UNCOMMANDED, "not commanded")]
 

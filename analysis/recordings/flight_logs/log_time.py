@@ -202,7 +202,8 @@ def join_clocks(
         restarts += int(restarted and t_us[end] < t_us[end - 1] - FARTHEST_BEHIND_US)
         pause = int(at[end] - at[end - 1]) if pause_us is None else pause_us
         pause = pause if restarted else STEP_US
-        shifts.append(newest + pause - int(t_us[end:after].min()))
+        join = newest + pause - int(t_us[end:after].min())
+        shifts.append(max(-FARTHEST_US, min(join, FARTHEST_US)))
     edges, joins = at[jumps], np.array(shifts, np.int64)
     t_us = t_us + joins[np.searchsorted(edges, at, "right")]
     return RowClock(at, t_us, edges, joins, restarts), wrong_places

@@ -174,8 +174,8 @@ def _parameters(
     initial, changes = {}, []
     for t_us, (at, _, payload) in zip(times.times["P"].tolist(), rows, strict=True):
         name, value = _keyed(payload)
-        # A corrupted definition gives another type.
-        if isinstance(value, (int, float)):
+        # A corrupted definition gives another type, or no number.
+        if isinstance(value, (int, float)) and np.isfinite(value):
             if at < begin:
                 initial[name] = float(value)
             else:

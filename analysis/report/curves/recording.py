@@ -137,6 +137,9 @@ class FlightData:
 
     def add_parameter(self, name: str, t_s: float, value: float) -> None:
         """Add a value of a parameter, if it changed: some versions log all of them repeatedly."""
+        # A damaged log may hold a value that is no number.
+        if not np.isfinite(value):
+            return
         history = self.parameters.setdefault(name, [])
         if not history or history[-1][1] != value:
             history.append((t_s, value))

@@ -33,9 +33,7 @@ def _flags(recording: FlightData, armed: Windows | None) -> FlightCheck:
         # Without a receiver ArduPilot's estimator raises this flag from the beginning.
         spans = [s for s in spans if s.text != "GPS glitch"]
     # Flags that were raised on the ground count too, if they do not end at arming.
-    spans = [
-        s for s in spans if is_within(s.start_s, armed) or is_within(s.end_s - CLEARED_S, armed)
-    ]
+    spans = [s for s in spans if _reaches(s, armed)]
     if armed is None:
         spans = [s for s in spans if not _starts(recording, s)]
     if not spans:
@@ -47,6 +45,11 @@ def _flags(recording: FlightData, armed: Windows | None) -> FlightCheck:
         shown += f" and {len(spans) - 4} more"
     windows = tuple((s.start_s, s.end_s) for s in spans)
     return FlightCheck(name, WARN, shown, "warn: any", windows)
+
+
+def _reaches(span: Span, armed: Windows | None) -> bool:
+    """Whether a condition begins while armed, or lasts into it: its end is seen late."""
+    return is_within(span.start_s, armed) or is_within(span.end_s - CLEARED_S, armed)
 
 
 def _starts(recording: FlightData, span: Span) -> bool:
@@ -89,7 +92,7 @@ def _status(recording: FlightData, armed: Windows | None) -> FlightCheck:
     if armed == []:
         return FlightCheck(name, NONE, "never armed")
     spans = [s for s in recording.spans if s.lane.startswith("system status")]
-    spans = [s for s in spans if is_within(s.start_s, armed) or is_within(s.end_s, armed)]
+    spans = [s for s in spans if _reaches(s, armed)]
     limit = "warn: CRITICAL while armed; fail: EMERGENCY"
     if not spans:
         return FlightCheck(name, PASS, "never critical while armed", limit)

@@ -119,7 +119,7 @@ def _judge(
         found = check_level(line.name, signals, limits, windows)
     else:
         found = check_in_use(line.name, signals, limits, windows, line.lanes(recording))
-    if line.panel == "gps-fix" and signals and not _has_fix(recording):
+    if line.panel == "gps-fix" and signals and windows != [] and not _has_fix(recording):
         # It may be unused.
         evidence = "the receiver sends messages but has no fix in the entire log"
         found = FlightCheck(line.name, WARN, evidence, limits.text(), panel=line.panel)
@@ -159,6 +159,12 @@ def _field_changes(recording: FlightData, *_: object) -> list[Signal]:
         for signal, middle in middles
         if middle > 0
     ]
+
+
+def _measured(recording: FlightData, *_: object) -> list[Signal]:
+    """The charge of batteries; one that is never above zero is not measured."""
+    charges = recording.of("battery-remaining")
+    return [s for s in charges if np.nanmax(s.value, initial=0.0) > 0.0]
 
 
 def _powered(recording: FlightData, limits: CheckLimits, _: object) -> list[Signal]:
@@ -236,7 +242,7 @@ LEVELS = (
     LevelCheck("compass field strength", "mag", "compass_change_percent", "% off its median",
                curves=_field_changes),
     LevelCheck("battery remaining", "battery-remaining", "battery_remaining_percent", "%",
-               below=True),
+               below=True, curves=_measured),
     LevelCheck("board voltage", "board-voltage", "board_voltage_v", "V", 0.0, below=True,
                curves=_powered),
     LevelCheck("GPS fix", "gps-fix", "gps_fix_type", below=True, classes=ON_LAND_OR_AIR,

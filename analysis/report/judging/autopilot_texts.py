@@ -120,8 +120,9 @@ def find_alarms(spoken: Sequence[Event], armed: Windows | None) -> list[TextFind
             or is_loss(event.text)
             or (event.severity != NOTICE and bool(SEVERE.search(event.text)))
         )
+        crashed = is_crash_text(event.text) or is_loss(event.text)
         flown = is_within(event.t_s, armed) or (
-            grave and is_within(event.t_s - AFTER_DISARM_S, armed)
+            crashed and is_within(event.t_s - AFTER_DISARM_S, armed)
         )
         if is_alarming(event) and flown:
             finding = found.setdefault(subject, TextFinding(event.text, WARN, event.severity, []))

@@ -11,7 +11,7 @@ from analysis.report.curves.recording import (
     merged_windows,
     true_runs,
 )
-from analysis.report.curves.vehicle_phase import armed_windows
+from analysis.report.curves.vehicle_phase import FLYERS, armed_windows
 from analysis.report.judging.autopilot_texts import INFORMATION, is_alarming
 from analysis.scoring.vehicle_outcome import (
     TimedText,
@@ -28,7 +28,8 @@ TRACKS = ("estimate", "local estimate", "GPS")
 LONGEST_S = 1e6  # eleven days; in a log that lasts longer, times are wrong
 MOST_STEPS = 500_000  # of a motion, 14 hours of estimates; chosen to limit memory
 START_M = 1.0  # chosen: a vehicle that gets lower than this below its start began in the air
-STEERING = ("channel 1", "channel 2")  # roll and pitch of a remote control
+# Roll and pitch of a remote control, and its throttle.
+STEERING, THROTTLE = ("channel 1", "channel 2"), ("throttle", "channel 3")
 CENTRE_US, HALF_RANGE_US = 1500.0, 500.0
 STICK_SHARE = 0.1  # chosen: beyond the dead zone, and the trim of a remote control
 BRAKED_S = 5.0  # chosen: a vehicle has stopped this long after the sticks are let go
@@ -46,9 +47,10 @@ def vehicle_record(recording: FlightData) -> VehicleRecord:
     modes = [span for span in recording.spans if span.lane == "mode"]
     commands = [event for event in recording.events if event.kind == "command"]
     error = recording.curve("position-error", "estimate")
-    motion = vehicle_motion(recording)
+    # Others rise and sink without taking off and landing.
+    flies = recording.vehicle in ("", *FLYERS)
     return VehicleRecord(
-        motion,
+        vehicle_motion(recording) if flies else _attitude_alone(recording),
         armed_windows(recording),
         [TimedText(span.start_s, span.text) for span in modes],
         [TimedText(event.t_s, event.text) for event in commands] or None,
@@ -61,6 +63,7 @@ def vehicle_record(recording: FlightData) -> VehicleRecord:
         _felt_force(recording),
         _hovers(recording),
         _steered(recording),
+        _lowered(recording),
     )
 
 
@@ -172,17 +175,32 @@ def _hovers(recording: FlightData) -> bool:
 def _steered(recording: FlightData) -> Windows:
     """When a pilot moves the vehicle by the sticks of roll and pitch, and until it has braked.
 
-    ArduPilot's LOITER is a pilot's mode: without the sticks in the log it may be steered any time.
+    ArduPilot's LOITER is a pilot's mode, and GUIDED that of a ground station: without the sticks
+    or any command in the log they may be steered any time.
     """
     sticks = [(curve, 0.0, STICK_SHARE) for curve in recording.of("sticks")
               if curve.name in ("roll", "pitch")]  # fmt: skip
     sticks = sticks or [(curve, CENTRE_US, STICK_SHARE * HALF_RANGE_US)
                         for curve in recording.of("rc") if curve.name in STEERING]  # fmt: skip
-    if not sticks and recording.autopilot == "ardupilot":
-        return [(s.start_s, s.end_s) for s in recording.spans if s.text == "LOITER"]
-    found = []
+    commands = any(event.kind == "command" for event in recording.events)
+    unseen = [mode for mode, seen in (("LOITER", sticks), ("GUIDED", commands)) if not seen]
+    unseen = unseen if recording.autopilot == "ardupilot" else []
+    found = [(s.start_s, s.end_s) for s in recording.spans if s.text in unseen]
     for curve, centre, least in sticks:
         moved = np.abs(curve.value - centre) > least
         found += [(float(curve.t_s[begin]), float(curve.t_s[end - 1]) + BRAKED_S)
                   for begin, end in true_runs(moved)]  # fmt: skip
     return merged_windows(found)
+
+
+def _lowered(recording: FlightData) -> Windows:
+    """When a pilot holds the throttle below its middle, and until the vehicle has braked."""
+    curve = next((s for panel in ("sticks", "rc") for s in recording.of(panel)
+                  if s.name in THROTTLE and len(s.t_s)), None)  # fmt: skip
+    if curve is None:
+        return []
+    share = curve.value if curve.panel == "sticks" else (curve.value - CENTRE_US) / HALF_RANGE_US
+    # PX4's went from 0 to 1 before 1.14.
+    share = share if np.nanmin(share) < 0.0 else 2.0 * share - 1.0
+    return [(float(curve.t_s[begin]), float(curve.t_s[end - 1]) + BRAKED_S)
+            for begin, end in true_runs(share < -STICK_SHARE)]  # fmt: skip

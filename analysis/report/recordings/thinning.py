@@ -22,7 +22,7 @@ from mavproxy_fault.wire.tlog import Columns
 from mavproxy_fault.wire.written import written_bytes
 
 WHOLE_BYTES = 128_000_000  # larger logs are thinned; chosen to limit memory use
-ROWS = 60_000  # kept per message of a thinned log, about; chosen to limit memory use
+ROWS = 30_000  # kept per message of a thinned log, about; chosen to limit memory use
 LEAST_RECORD = 32  # bytes; the average record is longer
 SENDING = ("t_us", "system", "component", "seq", "at", "TimeUS", "timestamp")
 LONGEST_VECTOR = 4  # longest array fields whose elements are searched for extremes

@@ -26,6 +26,16 @@ def test_flags_of_a_starting_estimator_at_rest_are_ignored(
 
 
 @pytest.mark.parametrize(("until_s", "verdict"), [(5.4, PASS), (9.0, WARN)])
+def test_a_critical_status_that_ends_at_arming_is_none_of_the_flight(
+    until_s: float, verdict: str
+) -> None:
+    found = FlightData("flight", "ardupilot", 0, 20.0)
+    found.spans.append(Span("mode", 0.0, 20.0, "MANUAL", "mode"))
+    found.spans.append(Span("system status", 0.1, until_s, "CRITICAL", "flag"))
+    assert run_checks(found, Thresholds(), [(5.0, 20.0)])[-1].verdict == verdict
+
+
+@pytest.mark.parametrize(("until_s", "verdict"), [(5.4, PASS), (9.0, WARN)])
 def test_a_flag_that_ends_at_arming_is_none_of_the_flight(until_s: float, verdict: str) -> None:
     found = FlightData("flight", "ardupilot", 0, 20.0)
     t_s = np.arange(0.0, 20.0, 0.2)

@@ -60,6 +60,13 @@ def test_the_imu_of_a_core_follows_from_the_mask_or_from_the_device() -> None:
     assert list(imu_windows(FlightData("x", messages=messages))) == [2]
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_damaged_parameter_is_left_out(value: float) -> None:
+    found = FlightData("x")
+    found.add_parameter("EK3_IMU_MASK", 0.0, value)
+    assert list(imu_windows(found)) == list(imu_windows(FlightData("x")))
+
+
 def test_a_companions_link_judges_no_flight_of_an_autopilot() -> None:
     good, bad = LinkQuality("", 1, 1, 5000, 0, 0.1), LinkQuality("", 1, 191, 5000, 2000, 30.0)
     found = checks(FlightData("x", systems=(1,), links=[good, bad]))

@@ -236,6 +236,18 @@ def test_a_gps_glitch_of_ardupilots_estimator_is_a_flag(tmp_path: Path) -> None:
     ]
 
 
+def test_an_estimator_that_uses_no_position_yet_has_not_lost_it(tmp_path: Path) -> None:
+    """Its timeouts (TS, bits 0 and 1) are set while it holds a constant position (SS, bit 7)."""
+    log = read_dataflash(dataflash(tmp_path / "a.bin"))
+    t_us = np.arange(1_000_000, 11_000_000, 100_000)
+    timeouts = np.where((t_us < 4_000_000) | (t_us >= 8_000_000), 0b11, 0)
+    log.topics[("XKF4", 0)] = {"TimeUS": t_us, "TS": timeouts, "SS": 0x80 * (t_us < 4_000_000)}
+    spans = [span for span in recording_of_log(log, "a").spans if span.kind == "flag"]
+    assert {(span.lane, span.start_s) for span in spans} == {
+        ("estimator: position timeout", 7.0), ("estimator: velocity timeout", 7.0),
+    }  # fmt: skip
+
+
 def test_a_measurement_that_ardupilot_rejects_for_a_second_is_a_flag(tmp_path: Path) -> None:
     log = read_dataflash(dataflash(tmp_path / "a.bin"))
     t_us = np.arange(1_000_000, 11_000_000, 100_000)
@@ -290,7 +302,7 @@ def test_a_battery_that_is_not_connected_fails_no_log(shared_data: Path) -> None
     log = read_ulog(shared_data / "ulog" / "gps_interference.ulg")
     battery = log.topics[("battery_status", 0)]
     rows = len(battery["timestamp"])
-    empty = {**battery, "remaining": np.zeros(rows, np.float32)}
+    empty = {**battery, "remaining": np.where(np.arange(rows) < 5, 0.2, 0.0).astype(np.float32)}
     found = {}
     for connected in (0, 1):
         log.topics[("battery_status", 0)] = {**empty, "connected": np.full(rows, connected)}

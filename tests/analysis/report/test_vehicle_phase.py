@@ -87,6 +87,18 @@ def test_a_sub_has_no_lifting_motors_and_no_fix() -> None:
         assert found[name].evidence == "does not hold for a sub"
 
 
+def test_a_bench_without_sky_and_a_battery_without_gauge_are_not_judged() -> None:
+    t_s = np.arange(0.0, 60.0, 0.2)
+    nothing = [Signal(panel, "1", t_s, np.zeros(len(t_s)))
+               for panel in ("gps-fix", "battery-remaining")]  # fmt: skip
+    for state, fix in (("disarmed", "not judged"), ("armed", "WARN")):
+        spans = [Span("armed", 0.0, 60.0, state, "mode")]
+        found = FlightData("x", duration_s=60.0, signals=nothing, spans=spans, vehicle="copter")
+        checks = {check.name: check for check in flight_checks(found, Thresholds())}
+        assert checks["GPS fix"].verdict == fix
+        assert checks["battery remaining"].verdict == "not judged"
+
+
 def test_a_vehicle_that_has_tipped_over_no_longer_flies() -> None:
     t_s = np.arange(0.0, 100.0, 0.1)
     height_m = np.interp(t_s, [0, 10, 60, 65, 100], [0, 20, 20, 0, 0])

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -146,6 +148,14 @@ def loiter(sticks: list[Signal]) -> FlightData:
     )  # fmt: skip
 
 
+def test_a_copter_that_is_guided_by_commands_outside_the_log_leaves_no_place() -> None:
+    flight = loiter([])
+    flight.spans[1] = flight.spans[1]._replace(text="GUIDED")
+    assert vehicle_outcome(flight).excursion_m == 0.0
+    flight.events.append(Event(1.0, "command", "GUIDED"))
+    assert vehicle_outcome(flight).excursion_m == pytest.approx(60.0, abs=1.0)
+
+
 def channel(moved_us: float) -> list[Signal]:
     t_s = np.arange(0.0, 60.0, 0.1)
     pushed = (t_s > 19.0) & (t_s < 29.0)
@@ -158,6 +168,22 @@ def channel(moved_us: float) -> list[Signal]:
 def test_a_pilot_may_move_a_copter_in_loiter(sticks: list[Signal], degraded: bool) -> None:
     found = vehicle_outcome(add_derived_curves(loiter(sticks)))
     assert (found.outcome == "degraded") == degraded
+
+
+@pytest.mark.parametrize(("panel", "low"), [("rc", 1200.0), ("sticks", -0.5)])
+def test_a_pilot_who_lowers_the_throttle_has_commanded_the_landing(panel: str, low: float) -> None:
+    flight = loiter([])
+    flight.events.append(Event(1.0, "command", "LOITER"))
+    assert vehicle_outcome(flight).outcome == "landed uncommanded"
+    t_s = np.arange(0.0, 60.0, 0.1)
+    name, middle = ("channel 3", 1500.0) if panel == "rc" else ("throttle", 0.0)
+    flight.signals.append(Signal(panel, name, t_s, np.where(t_s > 50.0, low, middle)))
+    assert vehicle_outcome(flight).outcome == "landed as commanded"
+
+
+def test_a_sub_neither_takes_off_nor_lands() -> None:
+    flight = replace(loiter([]), vehicle="sub")
+    assert (vehicle_outcome(flight).outcome, vehicle_outcome(flight).events) == ("not judged", [])
 
 
 def test_information_is_no_reason_for_a_failsafe() -> None:

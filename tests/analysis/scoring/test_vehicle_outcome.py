@@ -146,6 +146,11 @@ def test_a_failsafe_on_the_ground_is_named_too() -> None:
     assert "landed uncommanded" not in kinds(behind_a_crash)
 
 
+def test_a_failsafe_between_two_flights_is_none() -> None:
+    said = [TimedText(58.5, "Radio Failsafe - Disarming")]
+    assert flight(armed=[(3.0, 58.0), (59.0, 59.5)], texts=said).failsafe == ""
+
+
 def test_the_end_of_a_take_off_or_a_mission_is_no_failsafe() -> None:
     names = ("TAKEOFF", "LOITER", "MISSION", "LOITER", "LAND")
     modes = [TimedText(4.0 + 8.0 * n, name) for n, name in enumerate(names)]

@@ -45,6 +45,16 @@ def test_a_clock_that_is_set_moves_no_row(by_us: int, begin_us: int | None) -> N
     assert (found.settings, found.restarts) == (1, 0)
 
 
+def test_stamps_at_the_ends_of_their_range_overflow_nothing() -> None:
+    rng = np.random.default_rng(1)
+    stamps = DENSE_US[:2000] + np.where(np.arange(2000) < 1000, -46_000_000, 0)
+    stamps[:1000][rng.random(1000) < 0.35] = (1 << 63) - 1
+    stamps[:1000][rng.random(1000) < 0.2] = -(1 << 63)
+    found = place_rows({"parameters": RowStamps(AT[:2000], stamps)})
+    assert np.isin(DENSE_US[1000:2000] - DENSE_US[1000], found.times["parameters"] - found.times[
+        "parameters"][1000]).all()  # fmt: skip
+
+
 def test_rows_without_stamps_lie_between_those_that_have_one() -> None:
     some = RowStamps(AT[::100] + 30, None)
     for stamps in (np.where(DENSE_US < 120_000_000, DENSE_US, 0), DENSE_US):
