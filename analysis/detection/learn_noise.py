@@ -47,6 +47,12 @@ VAGUE = 1e-9  # 1/m^2: keeps the geometry of few satellites regular
 LEAST_FACTOR, MOST_FACTOR = 0.3, 12.0  # of the model: a simulated receiver has 0.4, telephones 7
 LEAST_FLOOR_M = 0.05  # zero would trust a strong satellite in the zenith without limit
 LEAST_RATE_MPS = 0.02  # no receiver's rates are better than that for long
+# Of the variance that lasts from one epoch to the next but not for minutes, so that it counts: most
+# of it. A code that slips by 24 m every 28 s has 0.65, a walk 0.46, roofs and stations at most 0.31
+LEAST_LASTING = 0.5
+LEAST_PAIRS = 100  # of residuals equally far apart: their correlation is known to a tenth
+# Columns of `_residuals`.
+SYSTEM, SINE, CN0, RESIDUAL, TIME, SATELLITE, COLUMNS = range(7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +68,11 @@ class RecordedNoise:
         """The model in words."""
         s = self.sigma
         factors = ", ".join(f"{factor:.2f}" for factor in s.systems)
+        lasting = f"; floor and zenith last {s.lasting_s:.0f} s" if s.lasting_s else ""
         return (
             f"learnt from {self.ranges} ranges of {self.epochs} epochs: floor {s.floor_m:.2f} m,"
             f" zenith {s.zenith_m:.2f} m, thermal {s.thermal_m:.2f} m at 45 dBHz, times {factors}"
-            f" (GPS, Galileo, GLONASS, BeiDou); rates {s.rate_mps:.2f} m/s"
+            f" (GPS, Galileo, GLONASS, BeiDou); rates {s.rate_mps:.2f} m/s{lasting}"
         )
 
 
@@ -74,12 +81,15 @@ def learn_noise(samples: Iterable[Sample], config: DetectorConfig) -> RecordedNo
     rows, rates, epochs = _residuals(samples, config)
     if epochs < LEAST_EPOCHS:
         return None
-    sine, cn0, residual = rows[:, 1:].T
-    system = rows[:, 0].astype(np.int64)
+    sine, cn0, residual = rows[:, SINE : RESIDUAL + 1].T
+    system = rows[:, SYSTEM].astype(np.int64)
     before = config.sigma
     modelled = before.sigma_m(np.arcsin(sine), cn0)
     first = _system_factors(system, residual / modelled, before)
-    shaped = _fit_shape(sine, cn0, residual / first[system], modelled, before)
+    own = residual / first[system]
+    lasting_s, thermal_m = _lasting_noise(rows, own, modelled, before.slow_s)
+    before = replace(before, lasting_s=lasting_s)
+    shaped = _fit_shape(sine, cn0, own, modelled, before, thermal_m)
     sigma_m = shaped.sigma_m(np.arcsin(sine), cn0)
     factors = _system_factors(system, residual / sigma_m, before)
     # By system within the bounds, as the fitted terms may be larger or smaller than the model's.
@@ -95,6 +105,40 @@ def learn_noise(samples: Iterable[Sample], config: DetectorConfig) -> RecordedNo
     return RecordedNoise(learnt, epochs, len(rows), float(np.mean(np.minimum(squares, 25.0))))
 
 
+def _lasting_noise(
+    rows: Vector, residual: Vector, modelled: Vector, slow_s: float
+) -> tuple[float, float]:
+    """How long residuals stay correlated in s, and the thermal noise that does not last in m; zeros
+    where little of them lasts. What stands for `slow_s` is a satellite's offset, and no noise."""
+    normalised = residual / modelled
+    limit = MOST_SIGMAS * _scale(normalised)
+    normalised = np.clip(normalised, -limit, limit)
+    total = float(np.mean(normalised**2))
+    stretch = 1e6 * rows[:, SATELLITE] + rows[:, TIME] // slow_s
+    _, place, counts = np.unique(stretch, return_inverse=True, return_counts=True)
+    normalised -= (np.bincount(place, normalised) / counts)[place]
+    order = np.lexsort((rows[:, TIME], rows[:, SATELLITE]))
+    first = lasting_s = thermal_m = 0.0
+    for apart in 2 ** np.arange(int(math.log2(len(order)))):
+        one, other = order[:-apart], order[apart:]
+        gap_s = rows[other, TIME] - rows[one, TIME]
+        same = rows[one, SATELLITE] == rows[other, SATELLITE]
+        # Epochs come in pairs: the next one is nearer than the first of the next pair.
+        same &= gap_s <= 1.5 * np.min(gap_s, where=same, initial=math.inf)
+        one, other = one[same], other[same]
+        shared = float(np.mean(normalised[one] * normalised[other])) if len(one) else 0.0
+        if apart == 1 and shared >= LEAST_LASTING * total:
+            weakness = 10.0 ** ((45.0 - rows[one, CN0]) / 10.0)
+            thermal_m = _scale((residual[other] - residual[one]) / np.sqrt(2.0 * weakness))
+            first = shared
+        if len(one) < LEAST_PAIRS or not first:
+            break
+        lasting_s = float(np.median(gap_s[same]))
+        if shared < first / math.e:
+            break
+    return lasting_s, thermal_m
+
+
 def _system_factors(system: Indices, normalised: Vector, before: SigmaModel) -> Vector:
     """The scale (4,) of each system; that of all of them where one has too few residuals."""
     found = np.array(before.systems)
@@ -107,8 +151,8 @@ def _system_factors(system: Indices, normalised: Vector, before: SigmaModel) -> 
 
 
 def _residuals(samples: Iterable[Sample], config: DetectorConfig) -> tuple[Vector, Vector, int]:
-    """Of ranges: system, sine of the elevation, C/N0 and residual (n, 4); of rates the
-    residuals in the zenith (m,); how many epochs these are of."""
+    """Of ranges: system, sine of the elevation, C/N0, residual, time in s and a number of the
+    satellite (n, 6); of rates the residuals in the zenith (m,); how many epochs these are of."""
     broadcast, epochs = Detector(config).new_state().core.broadcast, list[Epoch]()
     for sample in samples:
         if isinstance(sample, EphemerisSample):
@@ -117,9 +161,11 @@ def _residuals(samples: Iterable[Sample], config: DetectorConfig) -> tuple[Vecto
             broadcast = broadcast._replace(ionosphere=np.array((*sample.alpha, *sample.beta, 1.0)))
         elif isinstance(sample, Epoch):
             epochs.append(sample)
-    tables, rates = [np.empty((0, 4))], [np.empty(0)]
+    tables, rates = [np.empty((0, COLUMNS))], [np.empty(0)]
     near: Vector | None = None
-    for epoch in epochs[:: max(len(epochs) // MOST_EPOCHS, 1)]:
+    step = 2 * max(len(epochs) // MOST_EPOCHS, 1)
+    # In pairs: the next epoch shows what lasts.
+    for epoch in (epoch for i, epoch in enumerate(epochs) if i % step < 2):
         selection = select_ephemerides(epoch, broadcast.ephemerides, config.systems)
         observation = observe_epoch(epoch, selection)
         if observation is None:
@@ -127,14 +173,19 @@ def _residuals(samples: Iterable[Sample], config: DetectorConfig) -> tuple[Vecto
         start = np.zeros(X_SIZE) if near is None else near
         near = solve_snapshot(observation, start, config, broadcast.ionosphere)
         if near is not None:
-            found = list(_epoch_residuals(observation, near, config, broadcast.ionosphere))
+            t_s = epoch.t_us * 1e-6
+            found = list(_epoch_residuals(observation, near, config, broadcast.ionosphere, t_s))
             tables.extend(found[:1])
             rates.extend(found[1:])
     return np.vstack(tables), np.concatenate(rates), sum(len(table) > 0 for table in tables)
 
 
 def _epoch_residuals(
-    observation: EpochObservation, x: Vector, config: DetectorConfig, ionosphere: Vector
+    observation: EpochObservation,
+    x: Vector,
+    config: DetectorConfig,
+    ionosphere: Vector,
+    t_s: float,
 ) -> Iterator[Vector]:
     """The table of an epoch's ranges, and the residuals of its rates."""
     elevation = predict_innovations(observation, x, config.sigma, ionosphere).elevation_rad
@@ -150,9 +201,9 @@ def _epoch_residuals(
     known = own > LEAST_OWN
     sine, cn0 = np.sin(found.elevation_rad), observation.measurements.cn0_dbhz
     cn0 = np.where(np.isfinite(cn0), np.maximum(cn0, 0.0), 45.0)
-    yield np.column_stack([system, sine, cn0, residual / np.sqrt(np.maximum(own, LEAST_OWN))])[
-        known
-    ]
+    residual /= np.sqrt(np.maximum(own, LEAST_OWN))
+    number = [100 * ord(name[0]) + int(name[1:]) for name in observation.satellites]
+    yield np.column_stack([system, sine, cn0, residual, np.full(len(own), t_s), number])[known]
     heard = np.isfinite(found.rate_mps)
     if heard.sum() >= 6:
         design, root = design[heard, :4], np.sqrt(sine[heard])
@@ -184,10 +235,16 @@ def _scale(residuals: Vector) -> float:
 
 
 def _fit_shape(
-    sine: Vector, cn0: Vector, residual: Vector, modelled: Vector, before: SigmaModel
+    sine: Vector,
+    cn0: Vector,
+    residual: Vector,
+    modelled: Vector,
+    before: SigmaModel,
+    thermal_m: float,
 ) -> SigmaModel:
     """The model's three terms from robust variances in cells, by least squares without negative
-    terms; the terms as they are, where the recording has too few cells."""
+    terms, where some noise lasts with the given thermal term; the terms as they are, where the
+    recording has too few cells."""
     # 0.05 rad keeps the term finite at the horizon, as in the model.
     zenith, thermal = np.maximum(sine, math.sin(0.05)) ** -2.0, 10.0 ** ((45.0 - cn0) / 10.0)
     terms = np.column_stack([np.ones(len(sine)), zenith, thermal])
@@ -204,7 +261,12 @@ def _fit_shape(
     if len(rows) < 2 * terms.shape[1]:
         return before
     weight = np.array(weights)
-    found = _fit_positive(np.array(rows) * weight[:, None], np.array(variances) * weight)
+    a, b = np.array(rows) * weight[:, None], np.array(variances) * weight
+    if before.lasting_s:
+        lasting = _fit_positive(a[:, :2], b - thermal_m**2 * a[:, 2])
+        found = np.append(lasting, thermal_m**2)
+    else:
+        found = _fit_positive(a, b)
     # As large as the model in the median: the factors of the systems then say how noisy they are.
     found *= np.median(modelled**2) / max(float(np.median(terms @ found)), 1e-9)
     floor_m, zenith_m, thermal_m = np.sqrt(found).round(4).tolist()

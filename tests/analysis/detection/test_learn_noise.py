@@ -36,11 +36,14 @@ def learn(samples: list[Sample]) -> RecordedNoise:
     return found
 
 
-def with_errors(samples: list[Sample], sigma_m: float, of: str, seed: int = 1) -> list[Sample]:
-    """The samples with more noise on a system's ranges."""
+def with_errors(
+    samples: list[Sample], sigma_m: float, of: str, seed: int = 1, standing: bool = False
+) -> list[Sample]:
+    """The samples with more noise on a system's ranges, the same at all epochs if `standing`."""
     rng, out = np.random.default_rng(seed), list[Sample]()
     for s in samples:
         if isinstance(s, Epoch):
+            rng = np.random.default_rng(seed) if standing else rng
             mine = np.array([name[0] in of for name in s.satellites])
             noise = sigma_m * mine * rng.standard_normal(len(mine))
             s = replace(s, pseudorange_m=s.pseudorange_m + noise)
@@ -72,6 +75,27 @@ def test_a_fault_is_not_learnt_as_noise(ranges):
         faulty.append(s)
     for kind in (0, 1):
         assert sigma_in_zenith(learn(faulty), kind) < 1.8 * sigma_in_zenith(clean, kind)
+
+
+def test_noise_that_lasts_for_seconds_is_told_from_white_noise_and_from_standing_offsets(ranges):
+    rng, sizes_m, out = np.random.default_rng(3), dict[str, float](), list[Sample]()
+    stays = np.exp(-1.0 / 6.0)
+    for s in ranges:
+        if isinstance(s, Epoch):
+            for name in s.satellites:
+                fresh_m = 5.0 * rng.standard_normal()
+                known = sizes_m.get(name)
+                moved_m = fresh_m if known is None else stays * known + 0.532 * fresh_m
+                sizes_m[name] = moved_m
+            shift = np.array([sizes_m[name] for name in s.satellites])
+            s = replace(s, pseudorange_m=s.pseudorange_m + shift)
+        out.append(s)
+    lasting, white = learn(out).sigma, learn(with_errors(ranges, 5.0, "GE")).sigma
+    standing = learn(with_errors(ranges, 5.0, "GE", standing=True)).sigma
+    assert 3.0 <= lasting.lasting_s <= 16.0
+    assert lasting.thermal_m < 0.6 * lasting.floor_m + lasting.zenith_m
+    assert white.lasting_s == standing.lasting_s == 0.0
+    assert "floor and zenith last" in learn(out).describe()
 
 
 def test_no_receiver_is_trusted_beyond_half_the_model(ranges):
