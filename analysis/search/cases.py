@@ -136,7 +136,7 @@ def log_text(test: TestFile, cases: Sequence[WorstCase], totals: Totals) -> str:
     lines += [*part_lines(worst.parts), "", *state_lines(test, worst.values)]
     if worst.shrunk is not None and worst.shrunk_deg is not None:
         lines += ["", f"Smallest fault found that still gives {worst.shrunk_deg:.4g}{unit}"]
-        lines += fault_lines(test, worst.shrunk)
+        lines += fault_lines(test, worst.shrunk) or ["none: so large an error needs no fault"]
     lines += ["", "Worst cases, each in a file of its own", "  rank    test  error" + unit]
     lines += [f"  {i:4} {c.number:7}  {c.error_deg:9.4g}" for i, c in enumerate(cases, 1)]
     return "\n".join([*lines, ""])
@@ -193,10 +193,14 @@ def state_lines(test: TestFile, values: dict[str, float]) -> list[str]:
         row("Initial attitude", angles, "deg, roll pitch yaw"),
         row("Initial rates", rates, "deg/s, p q r"),
     ]
-    for section in ("controls", "mission", "wind", "sensors"):
-        lines += [
-            row(name, [value], "") for name, value in values.items() if name.startswith(section)
-        ]
+    usual, own = (msgspec.structs.asdict(sensors) for sensors in (TestFile().sensors, test.sensors))
+    given = [f"sensors.{key}" for key in own if own[key] != usual[key]]
+    # What is zero is not there, and sensors as usual need no line.
+    lines += [
+        row(name, [value], "").rstrip()
+        for name, value in values.items()
+        if (name.startswith(("controls", "mission", "wind")) and value) or name in given
+    ]
     return lines + fault_lines(test, values)
 
 
