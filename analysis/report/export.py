@@ -6,7 +6,9 @@ in microseconds as in the log.
 """
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -45,15 +47,11 @@ def export_tables(paths: Sequence[Path], folder: Path, form: str, recording: Fli
         if form == "rerun":
             write_rerun(target / f"{path.stem}.rrd", recording, _timed_tables(path, recording))
             continue
-        for name, table in read_tables(path):
-            if form == "csv":
-                _write_csv(target / f"{name}.csv", table)
-            else:
-                _write_parquet(target / f"{name}.parquet", table)
+        (_write_csv if form == "csv" else _write_parquet)(target, read_tables(path))
 
 
 def read_tables(path: Path, *, with_results: bool = True) -> Iterator[tuple[str, Table]]:
-    """Read all tables of a log or run folder; yields name and columns."""
+    """Read all tables of a log or run folder; yields name and columns, a tlog's block by block."""
     if path.is_dir():
         for name in ("received", "sent"):
             if (path / f"{name}.tlog").is_file():
@@ -66,8 +64,9 @@ def read_tables(path: Path, *, with_results: bool = True) -> Iterator[tuple[str,
         for (name, instance), topic in read_topics(path).topics.items():
             yield f"{name}_{instance}", topic
         return
-    for name, rows in tlog.read_columns(path).items():
-        yield name, _flat(rows)
+    for columns in tlog.read_blocks(path):
+        for name, rows in columns.items():
+            yield name, _flat(rows)
 
 
 def _flat(rows: NDArray[np.void]) -> Table:
@@ -99,12 +98,16 @@ def _result_tables(path: Path) -> Iterator[tuple[str, Table]]:
         yield kind, {name: np.array([getattr(r, name) for r in results]) for name in names}
 
 
-def _write_csv(path: Path, table: Table) -> None:
-    columns = [_python_values(column) for column in table.values()]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(table)
-        writer.writerows(zip(*columns, strict=True))
+def _write_csv(folder: Path, tables: Iterable[tuple[str, Table]]) -> None:
+    begun = set[str]()
+    for name, table in tables:
+        path = folder / f"{name}.csv"
+        columns = [_python_values(column) for column in table.values()]
+        with path.open("a" if name in begun else "w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerows([] if name in begun else [table])
+            writer.writerows(zip(*columns, strict=True))
+        begun.add(name)
 
 
 def _python_values(column: NDArray[Any]) -> list[Any]:
@@ -115,17 +118,27 @@ def _python_values(column: NDArray[Any]) -> list[Any]:
     return list(column.tolist())
 
 
-def _write_parquet(path: Path, table: Table) -> None:
+def _write_parquet(folder: Path, tables: Iterable[tuple[str, Table]]) -> None:
     pa, pq = import_extra("pyarrow"), import_extra("pyarrow.parquet")
-
-    arrays = {
-        name: pa.array(
-            # Arrow needs contiguous arrays.
-            _python_values(column) if column.dtype.kind == "S" else np.ascontiguousarray(column)
-        )
-        for name, column in table.items()
-    }
-    pq.write_table(pa.table(arrays), path, compression="zstd")
+    writers: dict[str, Any] = {}
+    with ExitStack() as stack:
+        for name, table in tables:
+            arrays = {
+                key: pa.array(
+                    # Arrow needs contiguous arrays.
+                    _python_values(column)
+                    if column.dtype.kind == "S"
+                    else np.ascontiguousarray(column)
+                )
+                for key, column in table.items()
+            }
+            part = pa.table(arrays)
+            if name not in writers:
+                writer = pq.ParquetWriter(
+                    folder / f"{name}.parquet", part.schema, compression="zstd"
+                )
+                writers[name] = stack.enter_context(writer)
+            writers[name].write_table(part)
 
 
 def _write_mcap(path: Path, log: Path, recording: FlightData) -> None:
@@ -133,24 +146,25 @@ def _write_mcap(path: Path, log: Path, recording: FlightData) -> None:
     foxglove = import_extra("foxglove")
     context = foxglove.Context()
 
-    def channel(topic: str, schema: dict[str, Any]) -> Any:
-        described = {"title": topic, "type": "object", **schema}
+    @cache
+    def channel(topic: str) -> Any:
+        described = {"title": topic, "type": "object", **schemas[topic]}
         return foxglove.Channel(topic, schema=described, context=context)
+
+    schemas: dict[str, Any] = {}
 
     with foxglove.open_mcap(path, allow_overwrite=True, context=context):
         write_views(recording, context)
         for name, stamps_ns, table in _timed_tables(log, recording):
             kinds = {column: {"type": _json_type(values)} for column, values in table.items()}
-            rows = channel(f"/{name}", {"properties": kinds})
+            schemas.setdefault(f"/{name}", {"properties": kinds})
             for stamp, row in zip(stamps_ns, _json_rows(table), strict=True):
-                rows.log(row, log_time=stamp)
-        topics: dict[str, Any] = {}
+                channel(f"/{name}").log(row, log_time=stamp)
         path = log / "results.jsonl"
         for result in read_results(path) if path.is_file() else ():
-            kind = type(result).__name__
-            if kind not in topics:
-                topics[kind] = channel(f"/results/{kind}", msgspec.json.schema(type(result)))
-            topics[kind].log(encode(result), log_time=max(result.t_us, 0) * 1000)
+            topic = f"/results/{type(result).__name__}"
+            schemas.setdefault(topic, msgspec.json.schema(type(result)))
+            channel(topic).log(encode(result), log_time=max(result.t_us, 0) * 1000)
 
 
 def _timed_tables(
@@ -161,19 +175,26 @@ def _timed_tables(
     A tlog's times are those of the computer that wrote it. Tables without a time (parameters,
     formats) are at zero.
     """
-    timed, offset_ns, most = [], 0, 0
+    offset_ns = _clock_offset_ns(path, recording)
     for name, table in read_tables(path, with_results=False):
         time = next((table[key] for key in TIMES if key in table), None)
         rows = len(next(iter(table.values()), ()))
         stamps_ns = np.zeros(rows, np.int64) if time is None else time.astype(np.int64) * 1000
-        timed.append((name, stamps_ns, table))
-        known = recording.messages.get(name.rpartition(".")[2])
-        if known is not None and len(known.t_s) == rows > most:
-            vehicle_ns = recording.t0_us * 1000 + np.round(known.t_s * 1e9).astype(np.int64)
-            most, offset_ns = rows, int(np.sort(stamps_ns - vehicle_ns)[rows // 2])
-    for name, stamps_ns, table in timed:
         # MCAP's times are unsigned.
         yield name, (stamps_ns - offset_ns).clip(0), table
+
+
+def _clock_offset_ns(path: Path, recording: FlightData) -> int:
+    """How far a tlog's clock is ahead of the vehicle's, by the first row of each message."""
+    folder = [log for log in (path / "sent.tlog", path / "received.tlog") if log.is_file()]
+    if not folder and is_autopilot_log(path):
+        return 0
+    ahead_ns = [
+        int(rows["t_us"][0]) * 1000 - recording.t0_us * 1000 - round(float(known.t_s[0]) * 1e9)
+        for name, rows in next(tlog.read_blocks((folder or [path])[0]), {}).items()
+        if (known := recording.messages.get(name)) is not None and len(known.t_s)
+    ]
+    return int(np.median(ahead_ns)) if ahead_ns else 0
 
 
 def _json_rows(table: Table) -> Iterator[dict[str, Any]]:

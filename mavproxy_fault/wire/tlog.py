@@ -147,6 +147,9 @@ def _blocks(data: NDArray[np.uint8], count: int) -> Iterator[_Block]:
         found, end, junk_bytes = walk(data, end, _messages(), LogFrames(at, t_us, slot))
         repair_stamps(t_us[:found])
         yield LogFrames(at[:found], t_us[:found], slot[:found]), end, junk_bytes
+        # Pages that were read count as memory of the process until they are given back.
+        if isinstance(data.base, mmap.mmap):
+            data.base.madvise(mmap.MADV_DONTNEED)
 
 
 def _entire_log(data: NDArray[np.uint8]) -> _Block:
@@ -217,9 +220,6 @@ def read_parts(path: str | Path) -> Iterator[Log]:
     data = map_bytes(Path(path))
     for block in _blocks(data, BLOCK_FRAMES):
         yield _log(data, block)
-        # Pages that were read count as memory of the process until they are given back.
-        if isinstance(data.base, mmap.mmap):
-            data.base.madvise(mmap.MADV_DONTNEED)
 
 
 def _log(data: NDArray[np.uint8], block: _Block) -> Log:

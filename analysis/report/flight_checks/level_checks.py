@@ -161,12 +161,6 @@ def _field_changes(recording: FlightData, *_: object) -> list[Signal]:
     ]
 
 
-def _measured(recording: FlightData, *_: object) -> list[Signal]:
-    """The charge of batteries; one that is never above zero is not measured."""
-    charges = recording.of("battery-remaining")
-    return [s for s in charges if np.nanmax(s.value, initial=0.0) > 0.0]
-
-
 def _powered(recording: FlightData, limits: CheckLimits, _: object) -> list[Signal]:
     """The voltages of connected rails; servos may always have less than the board."""
     # A rail that is not connected reads some hundredths of a volt.
@@ -242,7 +236,7 @@ LEVELS = (
     LevelCheck("compass field strength", "mag", "compass_change_percent", "% off its median",
                curves=_field_changes),
     LevelCheck("battery remaining", "battery-remaining", "battery_remaining_percent", "%",
-               below=True, curves=_measured),
+               below=True),
     LevelCheck("board voltage", "board-voltage", "board_voltage_v", "V", 0.0, below=True,
                curves=_powered),
     LevelCheck("GPS fix", "gps-fix", "gps_fix_type", below=True, classes=ON_LAND_OR_AIR,

@@ -111,7 +111,10 @@ def test_figures_are_written_in_three_forms(flight: Flight, tmp_path: Path) -> N
     assert {"speed.png", "speed.svg", "speed.pdf", "map.png", "map.svg", "map.pdf"} <= names
 
 
-def test_csv_parquet_and_mcap_hold_the_same_rows(flight: Flight, tmp_path: Path) -> None:
+def test_csv_parquet_and_mcap_hold_the_same_rows(
+    flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tlog, "BLOCK_FRAMES", 500)
     path = flight()
     rows = tlog.read_columns(path)["ATTITUDE"]
     for form in ("csv", "parquet", "mcap"):

@@ -186,6 +186,13 @@ def test_a_sub_neither_takes_off_nor_lands() -> None:
     assert (vehicle_outcome(flight).outcome, vehicle_outcome(flight).events) == ("not judged", [])
 
 
+@pytest.mark.parametrize(("charge", "judged"), [(0, False), (5, True)])
+def test_a_battery_that_is_always_at_zero_is_not_measured(charge: int, judged: bool) -> None:
+    rows = rows_of("SYS_STATUS", T_US, battery_remaining=np.where(T_US < 9_000_000, charge, 0))
+    found = recording_of_tlog({"SYS_STATUS": rows}).of("battery-remaining")
+    assert any(np.isfinite(signal.value).any() for signal in found) == judged
+
+
 def test_information_is_no_reason_for_a_failsafe() -> None:
     flight = loiter(channel(200.0))
     flight.events.append(Event(30.0, "text", "PrecLand: Failsafe Measures", UNGRADED))
