@@ -10,7 +10,7 @@ from mavproxy_fault.app.command_parser import add_json, add_option, positive_cou
 from mavproxy_fault.app.commands import add_bus, add_router, main_of
 
 AUTOPILOTS = ("ardupilot", "ardupilot:copter", "ardupilot:plane", "px4")
-METHODS = ("random", "matyas", "sobol", "cmaes", "de", "mixed")
+METHODS = ("random", "matyas", "sobol", "cmaes", "mixed")
 
 
 def add_run(commands: Any) -> None:

@@ -16,6 +16,7 @@ References
 .. [1] Beard and McLain, Small Unmanned Aircraft, 2012, equations 3.1 to 3.3.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +32,6 @@ from analysis.samples.block import IMU, IMU_ID, Indices, Stamps
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.numerics.polynomial import sin_cos
 from mavproxy_fault.numerics.rotations.rotation_kernel import (
     euler_of_quaternion,
     quaternion_of_euler,
@@ -48,9 +48,9 @@ MIN_COS_PITCH = 1e-6  # keeps the Euler rates finite at a pitch of 90 degrees
 def state_derivative(x: Nine, gyro: Three, accel: Three) -> Nine:
     """The right-hand side, gyro in rad/s, accel in m/s^2."""
     roll, pitch, yaw, u, v, w, _, _, _ = x
-    sf, cf = sin_cos(roll)
-    st, ct = sin_cos(pitch)
-    sy, cy = sin_cos(yaw)
+    sf, cf = math.sin(roll), math.cos(roll)
+    st, ct = math.sin(pitch), math.cos(pitch)
+    sy, cy = math.sin(yaw), math.cos(yaw)
     p, q, r = gyro
     bound = MIN_COS_PITCH if ct >= 0.0 else -MIN_COS_PITCH
     inverse = 1.0 / (ct if abs(ct) > MIN_COS_PITCH else bound)

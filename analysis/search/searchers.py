@@ -141,49 +141,6 @@ def cma_strategy(x: Array, sigma: float, size: int, rng: np.random.Generator) ->
     return cma.CMAEvolutionStrategy(x, sigma, options)
 
 
-class DifferentialEvolutionSearch(Searcher):
-    """Differential evolution, best/1/bin [1]_, with the parameters of SciPy's.
-
-    A trial is the best point plus a scaled difference of two others, crossed with its own point,
-    which it replaces if it is at least as good.
-
-    References
-    ----------
-    .. [1] Storn and Price, Journal of Global Optimization 11, 1997.
-    """
-
-    STREAM = 5
-    SIZE = 65
-    SCALE, CROSSED = (0.5, 1.0), 0.7  # drawn for each generation; share of values from the trial
-
-    def __init__(self, dimension: int, seed: int, budget: int) -> None:
-        super().__init__(dimension, seed, budget)
-        self._points = self._rng.random((self.SIZE, dimension))
-        self._fitness = np.full(self.SIZE, -np.inf)
-
-    def ask(self) -> Array:
-        """A generation; at first that of the start."""
-        if self._fitness[0] == -np.inf:
-            return self._points
-        shape, rng = self._points.shape, self._rng
-        # Columns of random permutations: two others for each point, different from each other.
-        one, other = rng.permuted(np.tile(np.arange(self.SIZE), (self.SIZE, 1)), axis=1)[:, :2].T
-        step = rng.uniform(*self.SCALE) * (self._points[one] - self._points[other])
-        trial = self._points[np.argmax(self._fitness)] + step
-        crossed = rng.random(shape) < self.CROSSED
-        # One value at least comes from the trial.
-        crossed[np.arange(self.SIZE), rng.integers(shape[1], size=self.SIZE)] = True
-        trial = np.where(crossed, trial, self._points)
-        inside = (trial >= 0.0) & (trial <= 1.0)
-        return np.where(inside, trial, rng.random(shape))
-
-    def report(self, points: Array, fitness: Array) -> None:
-        """Keep the better of each point and its trial."""
-        better = fitness >= self._fitness
-        self._points = np.where(better[:, None], points, self._points)
-        self._fitness = np.where(better, fitness, self._fitness)
-
-
 class MixedSearch(Searcher):
     """The default: a Latin hypercube, then a race of CMA-ES runs from its best points.
 
@@ -261,7 +218,6 @@ class MixedSearch(Searcher):
 
 METHODS: dict[str, type[Searcher]] = {
     "cmaes": CmaEsSearch,
-    "de": DifferentialEvolutionSearch,
     "matyas": MatyasSearch,
     "mixed": MixedSearch,
     "random": RandomSearch,

@@ -4,11 +4,10 @@ Proportional feedback of the true attitude is added to open-loop controls, so th
 within the envelope.
 """
 
-from math import pi, sqrt
+import math
 
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
-from mavproxy_fault.numerics.polynomial import sin_cos
 from mavproxy_fault.numerics.rotations.rotation_kernel import euler_of_quaternion
 
 # Elevator and aileron per rad and per rad/s, throttle per m/s: bandwidths of pitch and roll of
@@ -36,10 +35,10 @@ def weave_controls(
     """
     roll, pitch, _ = euler_of_quaternion(q_nb)
     u, v, w = v_air_b_mps[0], v_air_b_mps[1], v_air_b_mps[2]
-    sine, _ = sin_cos(2.0 * pi * t_s / plan[1])
+    sine = math.sin(2.0 * math.pi * t_s / plan[1])
     elevator = PITCH_RATE_GAIN * omega_b_rps[1] - PITCH_GAIN * (plan[2] - pitch)
     aileron = ROLL_GAIN * (plan[0] * sine - roll) - ROLL_RATE_GAIN * omega_b_rps[0]
-    throttle = plan[OPEN_LOOP + 3] + SPEED_GAIN * (plan[3] - sqrt(u * u + v * v + w * w))
+    throttle = plan[OPEN_LOOP + 3] + SPEED_GAIN * (plan[3] - math.sqrt(u * u + v * v + w * w))
     out[0] = plan[OPEN_LOOP] + _limited(elevator)
     out[1] = plan[OPEN_LOOP + 1] + _limited(aileron)
     out[2] = plan[OPEN_LOOP + 2]

@@ -3,14 +3,13 @@
 It feeds back the true state, as a quadrotor is unstable without feedback.
 """
 
-from math import pi
+import math
 
 import numpy as np
 
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.numerics.polynomial import sin_cos
 from mavproxy_fault.numerics.rotations.rotation_kernel import euler_of_quaternion
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 from simvehicle.vehicles.solution import round_solution
@@ -58,17 +57,15 @@ def sway_commands(
     of the air to sea level; `plan` (PLAN_SIZE,).
     """
     roll, pitch, _ = euler_of_quaternion(q_nb)
-    sine, _ = sin_cos(2.0 * pi * t_s / plan[1])
+    sine = math.sin(2.0 * math.pi * t_s / plan[1])
     p, q, r = omega_b_rps[0], omega_b_rps[1], omega_b_rps[2]
     mx = plan[MOMENTS] * RATE_GAIN * (ATTITUDE_GAIN * (plan[0] * sine - roll) - p)
     my = plan[MOMENTS + 1] * RATE_GAIN * (ATTITUDE_GAIN * (plan[2] - pitch) - q)
     mz = -plan[MOMENTS + 2] * YAW_SHARE * RATE_GAIN * r
-    _, cos_roll = sin_cos(roll)
-    _, cos_pitch = sin_cos(pitch)
     climb_setpoint = -HEIGHT_GAIN * (height_m - plan[HEIGHT])
     climb_setpoint = min(CLIMB_LIMIT_MPS, max(-CLIMB_LIMIT_MPS, climb_setpoint))
     upward = STANDARD_GRAVITY_MPS2 + CLIMB_GAIN * (climb_setpoint - climb_mps)
-    lift = plan[MASS] * upward / max(TILT_COSINE_MIN, cos_roll * cos_pitch)
+    lift = plan[MASS] * upward / max(TILT_COSINE_MIN, math.cos(roll) * math.cos(pitch))
     per_square, idle, full = plan[MOTOR], plan[MOTOR + 1], plan[MOTOR + 2]
     for i in range(MOTOR_COUNT):
         share = plan[SHARES + 4 * i : SHARES + 4 * i + 4]
