@@ -1,4 +1,4 @@
-"""Take what a log of any format says of the vehicle, for its outcome."""
+"""Collect what a log of any format says about the vehicle, to judge the flight's outcome."""
 
 import numpy as np
 
