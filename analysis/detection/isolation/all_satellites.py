@@ -22,7 +22,6 @@ from analysis.samples.block import ImuRun
 from analysis.samples.sample import Vector
 
 RANGES_DISTRUSTED, RATES_DISTRUSTED = "ranges", "rates"  # values of `Trust.distrusted`
-VELOCITY_SLACK_MPS = 0.5  # for noise, and for velocity errors from before
 JUMP_M, JUMP_MPS2 = 30.0, 50.0  # geometry and multipath; five times gravity: no vehicle does more
 JUMP_SIGMAS = 5.0  # of the prediction: 6e-7 by chance
 JUMP_REASON = "all satellites jumped together: it is unknown which position is right"
@@ -86,7 +85,7 @@ def _is_faster_than_force(innovations: Innovations, before: ImuRun | None, run: 
     grown_mps = np.linalg.norm(velocity_shift(innovations)[0])
     changed_mps = np.linalg.norm(force - force_before) * dt_s
     turned_mps = max(np.linalg.norm(force), np.linalg.norm(force_before)) * dt_s
-    return bool(grown_mps > turned_mps + changed_mps + VELOCITY_SLACK_MPS)
+    return bool(grown_mps > turned_mps + changed_mps)
 
 
 def _has_jumped(since_us: int, motion: MotionEstimate, innovations: Innovations) -> bool:
