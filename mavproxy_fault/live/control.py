@@ -37,7 +37,7 @@ from mavproxy_fault.live.failure_command import (
 )
 from mavproxy_fault.live.named_files import check_files
 from mavproxy_fault.live.rflysim import IdMap, Packet
-from mavproxy_fault.live.subscriptions import SubscribedMessages, Watched
+from mavproxy_fault.live.subscriptions import RECEIVED, SubscribedMessages, Watched
 from mavproxy_fault.proxy.announcements import COMPONENT
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import NEVER_US
@@ -102,6 +102,7 @@ class LiveControl:
         self.rflysim = rflysim
         self.folders = folders
         self.view = SubscribedMessages()
+        self.note_samples = self.view.note_samples
         self.senders = array("q")  # the core's, once attached
         self.replayed_us: int | None = None  # wall time of an edit that a replay repeats
         self._latched: set[str] = set()
@@ -131,7 +132,7 @@ class LiveControl:
         A `sealed` frame (signed with an unknown key) cannot be changed.
         """
         if frame.id in self.view.ids:
-            self.view.sample(frame, t_us, sent=False)
+            self.view.sample(frame, t_us, RECEIVED)
         if frame.id == HEARTBEAT:
             return self._answer_heartbeat(frame, t_us)
         if frame.id in COMMANDS:
