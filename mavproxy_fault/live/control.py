@@ -55,6 +55,7 @@ COMMANDS = frozenset(message_layout(name).id for name in ("COMMAND_LONG", "COMMA
 ACKNOWLEDGEMENT = message_layout("COMMAND_ACK").id
 PARAMETER = message_layout("PARAM_VALUE").id
 HEARTBEAT = message_layout("HEARTBEAT").id
+TUNNEL = message_layout("TUNNEL").id
 STATION = 6  # MAV_TYPE_GCS
 SILENT_US = 3_000_000  # chosen: three heartbeats missing
 FAILURE_PARAMETER = (
@@ -401,6 +402,7 @@ class LiveControl:
 
     def _update_wanted(self) -> None:
         self.needed = COMMANDS | {HEARTBEAT, PARAMETER, ACKNOWLEDGEMENT, *self._learning}
+        self.needed |= self.view.ids & {TUNNEL}  # of whose fragments none may be missing
         self.wanted = self.needed | self.view.ids
 
     # -- Zenoh -----------------------------------------------------------------------------------

@@ -20,6 +20,8 @@ from mavproxy_fault.proxy.capture_buffer import CaptureBuffer, CapturedBytes
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole
+from mavproxy_fault.rtcm.msm7 import encode_epoch
+from mavproxy_fault.rtcm.transport import tunnel_frames
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
@@ -243,6 +245,24 @@ def test_viewers_get_the_same_samples_from_machine_code() -> None:
     assert samples == by_core
     assert {one.message for one in samples} >= {"HIL_SENSOR", "ATTITUDE", "VFR_HUD", "SYS_STATUS"}
     assert taken < 0.7 * all_frames
+
+
+def test_ranges_are_whole_where_frames_pass_in_machine_code() -> None:
+    control = LiveControl(Engine(parse_schedule("faults: []")))
+    roles = (LinkRole("simulator", "to-vehicle"), LinkRole("vehicle", "from-vehicle"))
+    machine = CompiledCore(Core(roles, control.engine, control=control), 0, None)
+    control.watch(b'["PSEUDORANGE"]', 0.0)
+    names = tuple(f"G{n:02}" for n in range(1, 12))
+    zeros = [0.0] * len(names)
+    for n in range(5):
+        sample = frame("HIL_SENSOR", n, 1, 51, time_usec=200_000 * n + 1)
+        machine.received(0, sample, 9_000_000 + 200_000 * n)
+        (message,) = encode_epoch(1000.0 + 0.2 * n, names, [2.1e7] * len(names), zeros, zeros)
+        for raw in tunnel_frames(message, n):  # several frames of one time
+            machine.received(0, raw, 9_000_100 + 200_000 * n)
+    machine.count()
+    (samples,) = control.watched(0.0)
+    assert [sum(value is not None for value in row) for row in samples.received] == [12] * 5
 
 
 def test_delayed_frames_leave_without_the_interpreter(monkeypatch: pytest.MonkeyPatch) -> None:
