@@ -34,7 +34,7 @@ class RunSource:
         self._rows = RunSummaries()
         self._shown: dict[str, Any] = {}  # the summaries that the viewers have
         self._chosen: str | None = None
-        self._asked: tuple[Bus | None, list[str]] = (None, [])  # for messages, and until when
+        self._asked: tuple[Bus | None, list[str]] = (None, [])  # for which messages
         self._renew_s = 0.0
         # Not a daemon: inside Zenoh at interpreter exit it would abort the process.
         self._thread = threading.Thread(target=self._follow, name="bus of the page")
@@ -86,13 +86,12 @@ class RunSource:
 
     def _request_messages(self) -> None:
         """Request the viewers' messages from the proxy; a request expires after some seconds."""
-        bus, requested, now_s = self._bus, self._feed.requested_messages(), time.monotonic()
-        if not requested or bus is None:
-            return
-        if (bus, requested) != self._asked or now_s >= self._renew_s:
-            self._asked, self._renew_s = (bus, requested), now_s + RENEW_S
+        now_s, asked = time.monotonic(), (self._bus, self._feed.requested_messages())
+        bus, requested = asked
+        if bus is not None and requested and (asked != self._asked or now_s >= self._renew_s):
             with contextlib.suppress(ConfigError):  # the proxy may be shutting down
                 bus.query("@ctl/watch", msgspec.json.encode(requested))
+                self._asked, self._renew_s = asked, now_s + RENEW_S
 
     def _find_runs(self, stack: contextlib.ExitStack) -> None:
         """Join a live run, leave one that has ended."""
