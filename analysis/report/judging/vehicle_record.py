@@ -47,10 +47,8 @@ def vehicle_record(recording: FlightData) -> VehicleRecord:
     modes = [span for span in recording.spans if span.lane == "mode"]
     commands = [event for event in recording.events if event.kind == "command"]
     error = recording.curve("position-error", "estimate")
-    # Others rise and sink without taking off and landing.
-    flies = recording.vehicle in ("", *FLYERS)
     return VehicleRecord(
-        vehicle_motion(recording) if flies else _attitude_alone(recording),
+        vehicle_motion(recording),
         armed_windows(recording),
         [TimedText(span.start_s, span.text) for span in modes],
         [TimedText(event.t_s, event.text) for event in commands] or None,
@@ -64,6 +62,7 @@ def vehicle_record(recording: FlightData) -> VehicleRecord:
         _hovers(recording),
         _steered(recording),
         _lowered(recording),
+        recording.vehicle in ("", *FLYERS),
     )
 
 
