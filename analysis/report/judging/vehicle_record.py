@@ -198,8 +198,9 @@ def _lowered(recording: FlightData) -> Windows:
                   if s.name in THROTTLE and len(s.t_s)), None)  # fmt: skip
     if curve is None:
         return []
-    share = curve.value if curve.panel == "sticks" else (curve.value - CENTRE_US) / HALF_RANGE_US
-    # PX4's went from 0 to 1 before 1.14.
-    share = share if np.nanmin(share) < 0.0 else 2.0 * share - 1.0
+    share = (curve.value - CENTRE_US) / HALF_RANGE_US
+    if curve.panel == "sticks":
+        # From -1 to 1, before PX4 1.14 from 0 to 1.
+        share = curve.value if np.nanmin(curve.value) < 0.0 else 2.0 * curve.value - 1.0
     return [(float(curve.t_s[begin]), float(curve.t_s[end - 1]) + BRAKED_S)
             for begin, end in true_runs(share < -STICK_SHARE)]  # fmt: skip
