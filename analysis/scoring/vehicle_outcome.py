@@ -105,7 +105,8 @@ class VehicleRecord(NamedTuple):
     `alarms` are the autopilot's warnings, `force` is the accelerometers' norm.
     `expelled` are changes of mode that the log itself calls a failsafe; a vehicle that `hovers`
     stays in its place in some modes, but while it is `steered`; while a pilot has `lowered` the
-    throttle it is to descend.
+    throttle it is to descend. Unless it `flies` it rises and sinks without taking off and
+    landing.
     """
 
     motion: VehicleMotion | None
@@ -121,6 +122,7 @@ class VehicleRecord(NamedTuple):
     hovers: bool = False
     steered: Sequence[tuple[float, float]] = ()
     lowered: Sequence[tuple[float, float]] = ()
+    flies: bool = True
 
 
 class VehicleEvent(msgspec.Struct, frozen=True):
@@ -222,7 +224,7 @@ def is_crash_text(text: str) -> bool:
 def flown_window(record: VehicleRecord) -> tuple[float, float] | None:
     """First and last time in the air [s]; None if the vehicle never took off."""
     motion = record.motion
-    if motion is None or record.armed == []:
+    if motion is None or record.armed == [] or not record.flies:
         return None
     airborne = motion.height_m > AIRBORNE_M
     if record.armed:
