@@ -147,7 +147,8 @@ def _tilt_error(recording: FlightData) -> tuple[Vector, Vector] | None:
     roll, pitch = (recording.curve(f"error-{part}", "autopilot") for part in ("roll", "pitch"))
     if roll is None or pitch is None:
         return None
-    return roll.t_s, np.hypot(roll.value, np.interp(roll.t_s, pitch.t_s, pitch.value))
+    both = np.hypot(roll.value, np.interp(roll.t_s, pitch.t_s, pitch.value))
+    return roll.t_s, np.minimum(both, 180.0)  # both beyond it: upside down
 
 
 def _felt_force(recording: FlightData) -> tuple[Vector, Vector] | None:
