@@ -32,7 +32,7 @@ Indices = NDArray[np.int64]
 StoredOrbit = tuple[Orbit, Vector]  # an ephemeris and its packed numbers
 StoredOrbits = dict[str, tuple[StoredOrbit, ...]]  # by satellite, in the order of their times
 RESELECT_S = 60.0  # a selection holds for one such part of the week
-MOST_EPHEMERIDES = 512  # per satellite: three days of Galileo ephemerides
+MOST_EPHEMERIDES = 2400  # per satellite: a week of precise orbits (2016), and of Galileo's own
 # Galileo and BeiDou transmit an ephemeris from its time on, GPS and QZSS around it [1]_. An hour
 # early it is off by 0.9 and 0.2 m (benchmarks/fdi.md): a file need not begin with the newest one.
 EARLY_S = {"E": 3600.0, "C": 7200.0}  # BeiDou: 1.2 m two hours early, which is in the variance

@@ -169,3 +169,14 @@ def test_a_cut_file_is_refused_in_one_line(tmp_path):
     (tmp_path / "cut.gz").write_bytes(path.read_bytes()[:100])
     with pytest.raises(ConfigError, match="cannot be decompressed"):
         read_precise([tmp_path / "cut.gz"])
+
+
+def test_two_days_of_precise_orbits_are_kept_from_their_first_epoch_on(precise):
+    first = next(s.ephemeris for s in precise if s.ephemeris.satellite == "G28")
+    data = BroadcastData({}, np.zeros(9))
+    for node in range(2 * 288):
+        data = data.add_ephemeris(replace(first, toe_s=300.0 * node))
+    names, one = ("G28",), np.ones(1)
+    epoch = Epoch(0, WEEK, 0.0, names, 2.2e7 * one, 0.0 * one, 45.0 * one)
+    used = select_ephemerides(epoch, data.ephemerides).used
+    assert [orbit.toe_s for orbit in used] == [0.0]
