@@ -90,7 +90,8 @@ def add_monitor(commands: Any) -> None:
     # The first file holds the observations; each system may have its own navigation file.
     rinex = (
         "RINEX 2, 3 or 4: OBS NAV [NAV ...]; or a receiver log [NAV ...]: u-blox LOG.ubx (or"
-        " LOG.ulg of PX4, LOG.bin of ArduPilot), Septentrio LOG.sbf, Android LOG.txt, LOG.rtcm3"
+        " LOG.ulg of PX4, LOG.bin of ArduPilot), Septentrio LOG.sbf, Android LOG.txt, LOG.rtcm3;"
+        " precise ORBITS.sp3 and CLOCKS.clk beside NAV"
     )
     add_option(source, "--rinex FILE", rinex, nargs="+")
     option = partial(add_option, parser)

@@ -41,7 +41,8 @@ class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, g
     to detect ramps. `hpl_m` and `vpl_m` are the protection levels, valid under `level_assumes`:
     they do not bound coordinated spoofing of all satellites, with or without an IMU, before it is
     detected. Elevation, azimuth, C/N0 and signals, parallel to `satellites`, and the dilution of
-    precision of the satellites in use come with a RINEX recording only.
+    precision of the satellites in use come with a RINEX recording only, and where precise orbits
+    were given `orbit_difference_m`, how far broadcast ephemerides are from these in range.
     """
 
     statistic: float | None = None
@@ -71,6 +72,7 @@ class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, g
     azimuth_deg: tuple[float, ...] = ()
     cn0_dbhz: tuple[float | None, ...] = ()
     signals: tuple[str, ...] = ()
+    orbit_difference_m: dict[str, float] | msgspec.UnsetType = msgspec.UNSET
     hdop: float | None = None
     vdop: float | None = None
     hpl_m: float | None = None

@@ -4,19 +4,21 @@
 
 Ten traces of traffic are sent through a token bucket of the kernel (`tc tbf` in a network namespace
 of its own, by `unshare`) and through `rate-limit` with the same rate, burst, queue and overhead,
-with timestamps at 0, 0.1, 1 and 50 Hz. Both get each frame at the same time: that of its system
-call. Then loss, delay and rate are compared with netem's models (tc-netem(8)) in numpy. Printed are
-throughput and mean delay, and by how much they differ.
+with timestamps at 0, 0.1, 1 and 50 Hz, without and with a peak rate. Both get each frame at the
+same time: that of its system call. Before that, loss, delay, rate and slots are compared with
+netem's models (tc-netem(8)) in numpy. Printed are throughput and mean delay, and by how much they
+differ.
 """
 
 import argparse
 import json
+import math
 import socket
 import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,8 @@ ROOT = Path(__file__).resolve().parents[1]
 ROLES = (LinkRole("vehicle", "from-vehicle"), LinkRole("station", "to-vehicle"))
 STAMP_HZ = (0.0, 0.1, 1.0, 50.0)
 RATE, BURST, QUEUE = 7200, 600, 4000  # bytes: 57600 bit/s
+PEAK, PEAK_BURST = 14_400, 350  # the second bucket takes the largest frame
+CELL, CELL_OVERHEAD, LEAST = 48, 5, 64
 OVERHEAD = 42  # bytes of Ethernet, IPv4 and UDP, which tbf counts
 FTP_ID = b"\x6e\0\0"  # FILE_TRANSFER_PROTOCOL's in a header
 WALL_US = 1_700_000_000_000_000
@@ -122,9 +126,10 @@ def pass_model(frames: Iterable[tuple[float, bytes]], faults: list[dict[str, Any
     ]
 
 
-def pass_kernel(frames: list[tuple[float, bytes]]) -> dict[str, Any]:
+def pass_kernel(frames: list[tuple[float, bytes]], peak: bool) -> dict[str, Any]:
     """Send frames through the loopback's tbf; run in a namespace of its own. Times in seconds."""
     limit = f"tbf rate {RATE * 8}bit burst {BURST} limit {QUEUE}".split()
+    limit += f"peakrate {PEAK * 8}bit mtu {PEAK_BURST}".split() if peak else []
     subprocess.run(["ip", "link", "set", "lo", "up"], check=True)
     subprocess.run(["tc", "qdisc", "add", "dev", "lo", "root", *limit], check=True)
     with (
@@ -154,19 +159,20 @@ def pass_kernel(frames: list[tuple[float, bytes]]) -> dict[str, Any]:
     return {"sent": sent, "arrived": arrived}
 
 
-def compare_with_tbf(seconds: float) -> float:
+def compare_with_tbf(seconds: float, *, peak: bool) -> float:
     """Print throughput and delay of both for all traces; return the largest difference."""
     limit = {
         "fault": "rate-limit", "value": RATE, "unit": "bytes", "overhead_bytes": OVERHEAD,
         "burst_bytes": BURST, "queue_bytes": QUEUE,
     }  # fmt: skip
+    limit |= {"peak": PEAK, "peak_burst_bytes": PEAK_BURST} if peak else {}
     worst = 0.0
     print(f"{'trace':24}{'stamps':>8}{'sent':>7}{'tbf':>7}{'ours':>7}{'tbf':>10}{'ours':>10}")
     for hertz in STAMP_HZ:
         runs = {}
         for name, trace in make_traces(seconds).items():
             frames = make_frames(trace, hertz, seconds)
-            command = ["unshare", "-rn", sys.executable, __file__, "--kernel"]
+            command = ["unshare", "-rn", sys.executable, __file__, "--kernel", str(int(peak))]
             process = subprocess.Popen(
                 command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
             )
@@ -225,13 +231,51 @@ def reorder_of(count: int, rng: np.random.Generator) -> np.ndarray:
     return late
 
 
-def rate_of(times: np.ndarray, sizes: np.ndarray) -> np.ndarray:
-    """The delays of netem's `rate` with an overhead."""
+def rate_of(
+    times: np.ndarray, sizes: np.ndarray, overhead: int = OVERHEAD, cell: int = 0, least: int = 0
+) -> np.ndarray:
+    """The delays of netem's `rate` with an overhead and cells, or tbf's `mpu`."""
     free_s, late = 0.0, np.zeros(len(times))
     for n, (t_s, size) in enumerate(zip(times, sizes, strict=True)):
-        free_s = max(free_s, t_s) + (size + OVERHEAD) / RATE
+        length = max(size + overhead, least)
+        length = -(-length // cell) * (cell + CELL_OVERHEAD) if cell else length
+        free_s = max(free_s, t_s) + length / RATE
         late[n] = free_s - t_s
     return late
+
+
+def slots_of(
+    times: np.ndarray, sizes: np.ndarray, draw: Callable[[], float], octets: float = math.inf
+) -> np.ndarray:
+    """The delays of netem's `slot`, by its dequeue routine."""
+    slot_s, room, late = 0.0, octets, np.zeros(len(times))
+    for n, (t_s, size) in enumerate(zip(times, sizes, strict=True)):
+        if slot_s < t_s:
+            slot_s, room = t_s + draw(), octets
+        late[n], room = slot_s - t_s, room - size
+        if room <= 0:
+            slot_s, room = slot_s + draw(), octets
+    return late
+
+
+def pareto_normal(count: int, rng: np.random.Generator) -> np.ndarray:
+    """netem's table: a quarter of a normal quantile, three of (4/3) (Pareto of shape 3 - 1.5)."""
+    normal = rng.normal(size=count)
+    tail = np.array([0.5 * math.erfc(z / math.sqrt(2)) for z in normal])
+    return 0.25 * normal + 0.75 * 4 / 3 * (tail ** (-1 / 3) - 1.5)
+
+
+def queue_of(times: np.ndarray, sizes: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which frames are lost by a `rate` with a queue of `most` packets, and the others' delays."""
+    leaving: list[float] = []
+    lost, late = np.zeros(len(times), bool), np.zeros(len(times))
+    for n, (t_s, size) in enumerate(zip(times, sizes, strict=True)):
+        leaving = [one for one in leaving if one > t_s]
+        lost[n] = len(leaving) >= most
+        if not lost[n]:
+            leaving.append(max([t_s, *leaving[-1:]]) + (size + OVERHEAD) / RATE)
+            late[n] = leaving[-1] - t_s
+    return lost, late
 
 
 def compare_with_netem(seconds: float) -> float:
@@ -284,6 +328,39 @@ def compare_with_netem(seconds: float) -> float:
             lambda t, s: (None, reorder_of(len(t), rng)),
         ),
         "rate": ({**rate, "queue_s": 1e6}, lambda t, s: (None, rate_of(t, s))),
+        "rate, less 12 a frame": (
+            {**rate, "queue_s": 1e6, "overhead_bytes": -12},
+            lambda t, s: (None, rate_of(t, s, -12)),
+        ),
+        "rate 42 48 5": (
+            {**rate, "queue_s": 1e6, "cell_bytes": CELL, "cell_overhead_bytes": CELL_OVERHEAD},
+            lambda t, s: (None, rate_of(t, s, cell=CELL)),
+        ),
+        "mpu 64": (
+            {**rate, "queue_s": 1e6, "overhead_bytes": 0, "least_bytes": LEAST},
+            lambda t, s: (None, rate_of(t, s, 0, least=LEAST)),
+        ),
+        "rate, limit 20": ({**rate, "queue_frames": 20}, lambda t, s: queue_of(t, s, 20)),
+        "normal 100ms 20ms": (
+            {**jitter, "base_s": 0.1, "value": 0.02, "distribution": "normal"},
+            lambda t, s: (None, rng.normal(0.1, 0.02, len(t))),
+        ),
+        "paretonormal 110 20ms": (
+            {**jitter, "base_s": 0.1, "value": 0.02, "distribution": "pareto-normal"},
+            lambda t, s: (None, 0.11 + 0.02 * pareto_normal(len(t), rng)),
+        ),
+        "slot 20ms 80ms": (
+            {"fault": "slots", "base_s": 0.02, "value": 0.06},
+            lambda t, s: (None, slots_of(t, s, lambda: rng.uniform(0.02, 0.08))),
+        ),
+        "slot, bytes 2000": (
+            {"fault": "slots", "base_s": 0.02, "value": 0.06, "bytes": 2000},
+            lambda t, s: (None, slots_of(t, s, lambda: rng.uniform(0.02, 0.08), 2000)),
+        ),
+        "slot normal 50ms 10ms": (
+            {"fault": "slots", "base_s": 0.05, "value": 0.01, "distribution": "normal"},
+            lambda t, s: (None, slots_of(t, s, lambda: rng.normal(0.05, 0.01))),
+        ),
     }  # fmt: skip
     print(f"{'model':24}{'stamps':>8}{'netem':>9}{'ours':>9}{'netem':>10}{'ours':>10}")
     for hertz in STAMP_HZ:
@@ -311,11 +388,13 @@ def compare_with_netem(seconds: float) -> float:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--kernel", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--kernel", type=int, help=argparse.SUPPRESS)
     arguments = parser.parse_args()
-    if arguments.kernel:
+    if arguments.kernel is not None:
         given = [(t_s, bytes.fromhex(raw)) for t_s, raw in json.load(sys.stdin)]
-        print(json.dumps(pass_kernel(given)))
+        print(json.dumps(pass_kernel(given, bool(arguments.kernel))))
     else:
         print(f"largest difference: {compare_with_netem(6 * arguments.seconds):.1%}")
-        print(f"largest difference: {compare_with_tbf(arguments.seconds):.1%}")
+        for with_peak in (False, True):
+            worst = compare_with_tbf(arguments.seconds, peak=with_peak)
+            print(f"largest difference{', with a peak rate' * with_peak}: {worst:.1%}", flush=True)

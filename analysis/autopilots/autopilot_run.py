@@ -291,7 +291,8 @@ class AutopilotRun:
                 reason = f"{refused}{running.exit_details()}"
         sender.deliver_all()
         self._close()
-        if reason and simulation.truth.battery_remaining <= 0.0:
+        # Before the first step there is no battery state.
+        if reason and loop.t_us > 0 and simulation.truth.battery_remaining <= 0.0:
             reason += "; the simulated battery was empty"
         if reason:
             self._progress.say(f"the flight ended early: {reason}")

@@ -37,6 +37,7 @@ STEADY_US, STEADY_M = 10_000_000, 0.5
 VEHICLE_KINDS = {1: "fixedwing"} | dict.fromkeys(
     (2, 3, 4, 13, 14, 15), "multirotor"
 )  # by MAV_TYPE_
+REST_S = 2.0  # on the ground, so that what hit it with its motors off is recorded to its end
 GROUNDED_LIMIT_S = 30.0  # on the ground with motors on: the vehicle has crashed
 
 
@@ -89,6 +90,7 @@ class Operator:
         self._steady_since_us: int | None = None  # since when it is in the air at this height
         self._asked_item = -1  # the highest mission item that the vehicle has requested
         self._airborne_us = 0  # last time in the air or before the take-off
+        self._on_ground = False
         self._seq = 0
 
     @property
@@ -147,7 +149,7 @@ class Operator:
 
         `on_ground` is the truth; the vehicle is not armed before the autopilot has `started`.
         """
-        self._t_us, self._started = t_us, started
+        self._t_us, self._started, self._on_ground = t_us, started, on_ground
         if not started:
             self._phase_since_us = t_us  # the timeouts do not cover the start of the autopilot
         self._note_event("first-stamp")
@@ -167,11 +169,11 @@ class Operator:
         """Enter the next phase if this one is complete, or note its failure."""
         while self._phase_complete():
             self._enter(list(Phase)[list(Phase).index(self.phase) + 1])
-        if self.phase is Phase.FLYING and not self._armed:  # its own failsafe has landed it
+        if self.phase is Phase.FLYING and self._ended():  # its own failsafe has landed it
             self._enter(Phase.LANDED)
         waited_s = (self._t_us - self._phase_since_us) * 1e-6
         grounded_s = (self._t_us - self._airborne_us) * 1e-6
-        if self.phase is Phase.CLIMBING and not self._armed:
+        if self.phase is Phase.CLIMBING and self._ended():
             self.failure = f"disarmed while {self.phase}"
         # With a diverged estimator, a crashed autopilot would continue for minutes.
         elif grounded_s > GROUNDED_LIMIT_S and not self.finished:
@@ -195,7 +197,7 @@ class Operator:
             case Phase.FLYING:
                 return self._airborne_s() >= self._plan.duration_s
             case Phase.LANDING:
-                return not self._armed
+                return self._ended()
             case _:
                 return False
 
@@ -207,6 +209,11 @@ class Operator:
             self._retry_us = -(-self._t_us // ARMING_PERIOD_US) * ARMING_PERIOD_US
         if phase in (Phase.LANDING, Phase.LANDED):
             self._note_event(str(phase))
+
+    def _ended(self) -> bool:
+        """Whether the vehicle is disarmed at rest; one that is disarmed in the air falls first."""
+        rests = self._t_us - self._airborne_us >= REST_S * 1e6 or "take-off" not in self.events_us
+        return not self._armed and self._on_ground and rests
 
     def _hovers(self) -> bool:
         """Whether the autopilot says that it is in the air, and its height no longer changes."""

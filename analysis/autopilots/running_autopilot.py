@@ -36,12 +36,13 @@ class RunningAutopilot:
     startup_text: str = ""
 
     def exit_details(self) -> str:
-        """Describe for an error message how it was killed, or its last console line."""
+        """Describe for an error message how it was killed, or its last console lines."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             if (code := self.process.wait(SHUTDOWN_TIMEOUT_S)) < 0:
                 return f"; {self.name} ended {describe_exit(code)}"
-        lines = self.log.read_text(errors="replace").strip().splitlines()
-        return f"; last output of {self.name}: {lines[-1]}" if lines else ""
+        # Without repetitions: often the reason stands before the last line.
+        lines = list(dict.fromkeys(self.log.read_text(errors="replace").strip().splitlines()))
+        return f"; last output of {self.name}: {' | '.join(lines[-3:])}" if lines else ""
 
 
 class StartupPacer:

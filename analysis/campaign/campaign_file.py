@@ -219,7 +219,7 @@ class CampaignFile(_Section, frozen=True, dict=True):
 
     @property
     def compiled(self) -> bool:
-        """Whether the campaign has compiled flights."""
+        """Whether the campaign flies compiled flights, without frames and proxy."""
         return isinstance(self.scenarios[0], CompiledScenario)
 
     def autopilot(self, name: str) -> SubjectChoice | None:

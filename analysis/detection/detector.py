@@ -28,12 +28,15 @@ from analysis.detection.stages.decision_record import (
     rate_results,
     untestable_decision,
 )
-from analysis.detection.stages.ephemeris_fault import try_other_ephemerides
+from analysis.detection.stages.ephemeris_fault import (
+    try_other_ephemerides,
+    with_orbits_compared,
+)
 from analysis.detection.stages.epoch_stages import late_onsets, repair, run_stages
 from analysis.detection.stages.initial_fix import check_against_prior, solve_initial_fix
 from analysis.detection.stages.observe import observe
 from analysis.detection.stages.receiver_fix import step_position
-from analysis.results import Result
+from analysis.results import Decision, Result
 from analysis.samples.block import EPOCH, FIX, Block, BlockSlice, ImuRun, block_of, split_at_events
 from analysis.samples.sample import EphemerisSample, Epoch, GpsFix, IonosphereSample, Sample, Vector
 
@@ -90,6 +93,12 @@ class Detector:
         event, broadcast = piece.event, core.broadcast
         if isinstance(event, Epoch):
             results, core, pending = self._epoch(event, core, pending, mag_b)
+            chosen = core.broadcast.selection
+            if chosen is not None and chosen is not broadcast.selection and chosen.differences_m:
+                results = [
+                    with_orbits_compared(r, chosen) if isinstance(r, Decision) else r
+                    for r in results
+                ]
             return results, DetectorState(core, pending, mag_b)
         if isinstance(event, EphemerisSample):
             broadcast = broadcast.add_ephemeris(event.ephemeris)

@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from analysis.orbits.glonass import propagate_state
-from analysis.samples.sample import StateVector, Vector
+from analysis.samples.sample import Orbit, PreciseOrbit, StateVector, Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import (
     BEIDOU_EARTH_RATE_RPS,
@@ -31,7 +31,6 @@ from mavproxy_fault.numerics.constants import (
     WGS84_GM_M3PS2,
 )
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
-from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 # First letters of satellite names: GPS, Galileo, GLONASS, BeiDou, QZSS.
 SYSTEMS = "GERCJ"
@@ -59,8 +58,8 @@ _FIELDS = (*_CLOCK_FIELDS, *_ORBIT_FIELDS, *_RATE_FIELDS, *_WAVE_FIELDS, "group_
 (TOE, TOC, AF0, AF1, AF2) = range(2, 7)
 (SQRT_A, ECCENTRICITY, I0, OMEGA0, OMEGA, M0, DELTA_N, OMEGA_DOT, IDOT) = range(7, 16)
 (CRS, CRC, CUS, CUC, CIS, CIC, GROUP_DELAY, KIND, IONOSPHERE, PACKED) = range(16, 26)
-VECTOR = SQRT_A  # of a GLONASS state vector: position, velocity, acceleration (9)
-ELEMENTS, GEOSTATIONARY_ORBIT, STATE_VECTOR = 0.0, 1.0, 2.0  # kinds of orbit
+VECTOR = SQRT_A  # of a GLONASS state vector (9), or of a polynomial (15)
+ELEMENTS, GEOSTATIONARY_ORBIT, STATE_VECTOR, POLYNOMIAL = 0.0, 1.0, 2.0, 3.0  # kinds of orbit
 # Columns of `satellite_states`.
 POSITION, VELOCITY, CLOCK, CLOCK_RATE, DELAY_SCALE, STATES = 0, 3, 6, 7, 8, 9
 # Columns of `predict_ranges`: range, range rate, line of sight (3), elevation, azimuth and
@@ -68,10 +67,14 @@ POSITION, VELOCITY, CLOCK, CLOCK_RATE, DELAY_SCALE, STATES = 0, 3, 6, 7, 8, 9
 RANGE, RATE, LINE_OF_SIGHT, ELEVATION, AZIMUTH, DELAY, PREDICTED = 0, 1, 2, 5, 6, 7, 8
 
 
-def pack_ephemeris(ephemeris: Ephemeris | StateVector) -> Vector:
+def pack_ephemeris(ephemeris: Orbit) -> Vector:
     """Pack one ephemeris as an array (25,): mu, week, `_FIELDS` in order, the kind of orbit (0
-    Kepler elements, 1 those of a geostationary satellite, 2 a state vector in place of the
-    elements), and the ratio of the ionospheric delay to that on L1."""
+    Kepler elements, 1 those of a geostationary satellite, 2 a state vector, 3 a polynomial in
+    place of the elements), and the ratio of the ionospheric delay to that on L1."""
+    if isinstance(ephemeris, PreciseOrbit):
+        e = ephemeris
+        clock = e.toe_s, e.toe_s, e.af0_s, e.af1, 0.0
+        return np.array([0.0, e.week, *clock, *e.terms, e.group_delay_s, POLYNOMIAL, 1.0])
     if isinstance(ephemeris, StateVector):
         clock = ephemeris.toe_s, ephemeris.toe_s, ephemeris.af0_s, ephemeris.af1, 0.0
         orbit = *ephemeris.r_m, *ephemeris.v_mps, *ephemeris.a_mps2
@@ -133,6 +136,8 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
         relativity = 0.0
         if packed[i, KIND] == STATE_VECTOR:
             propagate_state(packed[i, VECTOR : VECTOR + 9], since_toc, out[i])
+        elif packed[i, KIND] == POLYNOMIAL:
+            _evaluate(packed[i, VECTOR:GROUP_DELAY], since_toc, out[i])
         else:
             relativity = _orbit(packed, i, since_toc + packed[i, TOC] - packed[i, TOE], out)
         out[i, CLOCK] = SPEED_OF_LIGHT_MPS * (clock - packed[i, GROUP_DELAY] + relativity)
@@ -141,6 +146,17 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
         )
         out[i, DELAY_SCALE] = packed[i, IONOSPHERE]
     return out
+
+
+@compiled
+def _evaluate(terms: Vector, t_s: float, out: Vector) -> None:
+    """Write position and velocity of a polynomial (15,) to out (9,), by Horner's scheme."""
+    for axis in range(3):
+        r = v = 0.0
+        for at in range(len(terms) - 3 + axis, -1, -3):
+            v = v * t_s + r
+            r = r * t_s + terms[at]
+        out[POSITION + axis], out[VELOCITY + axis] = r, v
 
 
 @compiled

@@ -57,7 +57,8 @@ def read_rinex(
     """Read a RINEX observation file with its navigation files and optional IMU samples.
 
     A receiver log may replace the observation file, and the navigation files if it holds navigation
-    messages. `lines` are the lines of the observation file if they were modified beforehand. The
+    messages. Beside navigation files, SP3 orbits and CLK clocks may be given. `lines` are the
+    lines of the observation file if they were modified beforehand. The
     IMU file has one sample per line: GPS time in seconds since the Unix epoch, specific force (3)
     in g and angular rates (3) in rad/s, axes forward-left-up; further columns are ignored. `t_us`
     counts from the start of GPS time; ephemerides come first, with the timestamp of the first
@@ -68,6 +69,7 @@ def read_rinex(
     ConfigError
         If a file is not of the expected kind, or the files do not belong together.
     """
+    from analysis.recordings.gnss.precise_files import NAMES, precise_samples, read_precise
     from analysis.recordings.gnss.receiver_logs import is_receiver_log, read_receiver_log
     from analysis.recordings.gnss.rinex_navigation import read_navigation
     from analysis.recordings.gnss.rinex_observations import epochs_of, read_observations
@@ -82,8 +84,14 @@ def read_rinex(
         )
     if not epochs:
         raise ConfigError(f"{observations}: no epoch has a readable pseudorange; give another file")
-    broadcast += [sample for path in files for sample in read_navigation(path)]
-    _check_orbits(observations, files, epochs, broadcast)
+    precise = [path for path in files if NAMES.search(path.name)]
+    plain = [path for path in files if path not in precise]
+    broadcast += [sample for path in plain for sample in read_navigation(path)]
+    _check_orbits(observations, plain, epochs, broadcast)
+    if precise:
+        orbits = [s.ephemeris for s in broadcast if isinstance(s, EphemerisSample)]
+        begin_s, end_s = (epochs[i].t_us * 1e-6 for i in (0, -1))
+        broadcast += precise_samples(read_precise(precise), orbits, begin_s, end_s)
     parts = [] if imu is None else [_read_imu(imu)]
     for part in parts:
         _check_overlap(imu, part, epochs)

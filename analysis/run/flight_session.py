@@ -88,7 +88,7 @@ class FlightSession:
         self._live.publish(self.flight.stats(), labels)
 
     def close_logs(self) -> None:
-        """Write the rest and close the logs."""
+        """Write what is still buffered, and close the logs."""
         self.record()
         self._recorder.close(self.flight.core.clock.t0_us, self.flight.now_us)
 

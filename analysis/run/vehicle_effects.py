@@ -19,7 +19,6 @@ from analysis.detection.actuators.effects import (
     FORWARD_BY_AIRSPEED,
     OUTPUT,
     RATE,
-    SMALL_SHARE,
     TERMS,
     THROTTLE,
     Effects,
@@ -41,6 +40,7 @@ HEIGHT_M = 100.0  # free of ground contact
 # Small against manoeuvres, large against rounding; chosen
 COMMAND_STEP, RATE_STEP_RPS, SPEED_STEP_MPS = 0.05, 0.05, 0.5
 HALVINGS, LEVELS = 12, 11
+LEAST_SLOPE = 0.02  # of the largest slope: an axis with less is not the throttle's
 FORCE_X, FORCE_Y, FORCE_Z = range(ANGULAR, 6)  # after the angular accelerations
 BODY_AXES = 6
 MIN_WING_HZ = 0.1  # m/s^2 per m/s of cross flow; chosen: below it the vehicle has no wing
@@ -85,7 +85,7 @@ class _TrimmedVehicle:
         moved = np.empty((len(rows), LEVELS))
         for i, commands[number] in enumerate(levels):
             moved[:, i] = self.motion(commands, np.zeros(RIGID_SIZE))[rows]
-        known = (np.abs(slopes) > SMALL_SHARE * np.abs(slopes).max())[:, None]
+        known = (np.abs(slopes) > LEAST_SLOPE * np.abs(slopes).max())[:, None]
         slope = np.where(known, slopes[:, None], 1.0)
         return np.where(known, (moved - moved[:, :1]) / slope, levels)
 

@@ -5,6 +5,7 @@ Timestamps `t_us` are microseconds on the vehicle's clock.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,12 +130,34 @@ class StateVector:
         return 1800.0
 
 
+@dataclass(frozen=True)
+class PreciseOrbit:
+    """A satellite's orbit and clock about `toe_s` of GPS week `week`, computed afterwards.
+
+    The ECEF position in m is a polynomial of the seconds since then: five terms of three
+    components. The clock offset in s and its rate include relativity, but not the group delay.
+    """
+
+    satellite: str
+    week: int
+    toe_s: float
+    terms: tuple[float, ...]
+    af0_s: float
+    af1: float
+    group_delay_s: float
+    health: ClassVar[int] = 0
+    fit_half_s: ClassVar[float] = 150.0
+
+
+Orbit = Ephemeris | StateVector | PreciseOrbit
+
+
 @dataclass(frozen=True, slots=True)
 class EphemerisSample:
-    """A satellite's broadcast orbit and clock."""
+    """A satellite's orbit and clock."""
 
     t_us: int
-    ephemeris: Ephemeris | StateVector
+    ephemeris: Orbit
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,7 +96,7 @@ LOSS_FAULTS = (
     *("outage", "drop", "burst-loss", "gilbert-elliott", "rate-limit", "corrupt", "truncate"),
     *("sequence-gap", "bit-errors", "radio", "four-state-loss"),
 )
-LATE_FAULTS = ("delay", "jitter")  # a stream is silent while its frames are late
+LATE_FAULTS = ("delay", "jitter", "slots")  # a stream is silent while its frames are late
 LINK_UNITS = ("mavlink-", "datalink-")  # failures of the autopilot's own link
 HARMLESS_FAULTS = {  # no channel should react to these
     "command": "a command to the vehicle falsifies nothing",

@@ -48,6 +48,7 @@ class Tally:
         # Of each satellite without a usable ephemeris the first reason, and its epochs.
         self._unused: dict[str, tuple[str, int]] = {}
         self._wrong_ephemerides: list[str] = []
+        self._orbit_difference_m: dict[str, float] = {}  # of each satellite the largest
         self.without_imu = 0  # epochs of raw ranges that no IMU predicted
         self.unbounded = 0  # epochs with a position without an error bound
 
@@ -113,6 +114,10 @@ class Tally:
             self.unexplained[result.reason or TOO_MANY] += 1
         if result.hypothesis == "ephemeris":
             self._wrong_ephemerides.append(result.reason)
+        for name, off_m in (result.orbit_difference_m or {}).items():
+            self._orbit_difference_m[name] = max(
+                self._orbit_difference_m.get(name, 0.0), off_m, key=abs
+            )
         for name, reason in result.unused.items():
             first, count = self._unused.get(name, (reason, 0))
             self._unused[name] = first, count + 1
@@ -181,6 +186,7 @@ class Tally:
             "unexplained_epochs": self.unexplained.total(),
             "unexplained_reasons": dict(self.unexplained),
             "wrong_ephemerides": self._wrong_ephemerides,
+            "orbit_difference_m": dict(sorted(self._orbit_difference_m.items())),
             "unused_satellites": [
                 {"satellite": name, "reason": reason, "epochs": count}
                 for name, (reason, count) in sorted(self._unused.items())

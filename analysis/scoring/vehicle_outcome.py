@@ -32,7 +32,7 @@ UPSET_DEG = 60.0  # PX4's failure detector: FD_FAIL_R, FD_FAIL_P
 LOST_TILT_DEG = 75.0  # UPSET_DEG and a quarter: a manoeuvre may overshoot the former
 AWAY_M = 200.0  # from 30 m/s an autopilot brakes at 2.5 m/s^2 within 180 m
 DEGRADED_M, DEGRADED_DEG = 10.0, 5.0  # the defaults of campaigns (analysis/campaign/outcomes.py)
-AIRBORNE_M = 1.0  # above the noise of a barometer (BMP388: relative 8 Pa, 0.7 m)
+AIRBORNE_M = 1.0  # above a barometer's error (BMP388 data sheet, table 2: 8 Pa, 0.66 m)
 GROUND_M = 0.3  # true height of a vehicle on its legs, and an estimate's change in 1 s at rest
 BEFORE_S = 0.3  # the speed is taken this long before contact, since contact itself stops the fall
 STOP_S = 0.7  # BEFORE_S, and four samples of a log at 10 Hz
@@ -105,7 +105,8 @@ class VehicleRecord(NamedTuple):
     `alarms` are the autopilot's warnings, `force` is the accelerometers' norm.
     `expelled` are changes of mode that the log itself calls a failsafe; a vehicle that `hovers`
     stays in its place in some modes, but while it is `steered`; while a pilot has `lowered` the
-    throttle it is to descend.
+    throttle it is to descend. Unless it `flies` it rises and sinks without taking off and
+    landing.
     """
 
     motion: VehicleMotion | None
@@ -121,6 +122,7 @@ class VehicleRecord(NamedTuple):
     hovers: bool = False
     steered: Sequence[tuple[float, float]] = ()
     lowered: Sequence[tuple[float, float]] = ()
+    flies: bool = True
 
 
 class VehicleEvent(msgspec.Struct, frozen=True):
@@ -222,7 +224,7 @@ def is_crash_text(text: str) -> bool:
 def flown_window(record: VehicleRecord) -> tuple[float, float] | None:
     """First and last time in the air [s]; None if the vehicle never took off."""
     motion = record.motion
-    if motion is None or record.armed == []:
+    if motion is None or record.armed == [] or not record.flies:
         return None
     airborne = motion.height_m > AIRBORNE_M
     if record.armed:

@@ -108,7 +108,7 @@ def falsify(
         reduced = reduce_case(test, case, place)
         # One for each behaviour and kinds of faults, in place of many of the same.
         found.setdefault(reduced.likeness, reduced)
-    print(f"{test.requirement.label}: {tests} flights, {len(violating)} of the kept violate it")
+    print(f"{test.requirement.label}: {tests} flights, {len(violating)} of those kept violate it")
     for one in found.values():
         print(f"\n{one.describe()}")
     summary = {

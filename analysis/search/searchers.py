@@ -28,7 +28,7 @@ class Searcher(ABC):
 
     @abstractmethod
     def ask(self) -> Array:
-        """Points (n, d) to try."""
+        """The next points (n, d) of the searched space to evaluate."""
 
     @abstractmethod
     def report(self, points: Array, fitness: Array) -> None:

@@ -2,6 +2,7 @@
 
 import contextlib
 import threading
+import time
 from typing import Any
 
 import msgspec
@@ -10,8 +11,10 @@ from analysis.web.feed import Feed
 from analysis.web.run_summaries import SUBSCRIBED, RunSummaries
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import DEFAULT_URL, ROOT, Bus, open_bus
+from mavproxy_fault.live.subscriptions import LEASE_S
 
 POLL_S = 0.5  # between two searches for runs
+RENEW_S = LEASE_S / 3  # between two requests of the same messages
 STREAMS = ("fdi/**", "att/**", "fusion/**", "schedule/**", "proxy/**")
 PROXY, RUN = "/alive/proxy", "/alive/run"
 
@@ -31,6 +34,8 @@ class RunSource:
         self._rows = RunSummaries()
         self._shown: dict[str, Any] = {}  # the summaries that the viewers have
         self._chosen: str | None = None
+        self._asked: tuple[Bus | None, list[str]] = (None, [])  # for which messages
+        self._renew_s = 0.0
         # Not a daemon: inside Zenoh at interpreter exit it would abort the process.
         self._thread = threading.Thread(target=self._follow, name="bus of the page")
 
@@ -81,10 +86,12 @@ class RunSource:
 
     def _request_messages(self) -> None:
         """Request the viewers' messages from the proxy; a request expires after some seconds."""
-        requested = self._feed.requested_messages()
-        if requested and self._bus is not None:
+        now_s, asked = time.monotonic(), (self._bus, self._feed.requested_messages())
+        bus, requested = asked
+        if bus is not None and requested and (asked != self._asked or now_s >= self._renew_s):
             with contextlib.suppress(ConfigError):  # the proxy may be shutting down
-                self._bus.query("@ctl/watch", msgspec.json.encode(requested))
+                bus.query("@ctl/watch", msgspec.json.encode(requested))
+                self._asked, self._renew_s = asked, now_s + RENEW_S
 
     def _find_runs(self, stack: contextlib.ExitStack) -> None:
         """Join a live run, leave one that has ended."""

@@ -56,7 +56,7 @@ class Run(Report):
 
     @property
     def report(self) -> Path:
-        """The self-contained HTML page to open, as `page`."""
+        """The self-contained HTML page to open; the same file as `page`."""
         return self.page
 
     @cached_property

@@ -8,6 +8,7 @@ frames take the compiled path (`compiled.forwarder`).
 import ctypes
 import gc
 import logging
+import math
 import select
 import socket
 import subprocess
@@ -62,6 +63,8 @@ class Server:
         self._base_ns = time.time_ns() - time.monotonic_ns()
         self._stopping = False
         self._maintain_s = self._flush_s = 0.0
+        self._sliced: list[Any] = []  # links that send in pieces
+        self._resume_s = math.inf  # when the first pause between pieces ends
         self._compiler: subprocess.Popen[bytes] | None = None
         self._forwarder: Forwarder | None = None
         self._wake: int | None = None
@@ -147,7 +150,8 @@ class Server:
         """Forward on the compiled path until something must be handled in Python."""
         # Until the core has something due, or the next maintenance of the links.
         due_ns = self.core.own_due_us * 1000 - self._base_ns
-        forwarder.forward(min(round(self._maintain_s * 1e9), due_ns), spin=self._busy_poll)
+        maintain_ns = round(min(self._maintain_s, self._resume_s) * 1e9)
+        forwarder.forward(min(maintain_ns, due_ns), spin=self._busy_poll)
         self._send_all(forwarder.take_sends())
         for number in forwarder.ready():
             self._serve(number)
@@ -229,7 +233,7 @@ class Server:
             return 0.0
         due_us = self.core.next_due_us
         wait_s = RECONNECT_S if due_us is None else max(due_us - self.now_us(), 0) * 1e-6
-        return min(wait_s, RECONNECT_S)
+        return min(wait_s, RECONNECT_S, max(self._resume_s - time.monotonic(), 0.0))
 
     def _serve(self, number: int) -> None:
         """Forward what one link has received."""
@@ -259,6 +263,8 @@ class Server:
             for number in self.core.links_to_resync(now_us):
                 self._serve(number)
             self._send_all(self.core.due(now_us))
+        if self._sliced:
+            self._resume_s = min(link.flush() for link in self._sliced)
         now_s = time.monotonic()
         if now_s >= self._maintain_s:
             self._maintain_s = now_s + RECONNECT_S
@@ -280,10 +286,13 @@ class Server:
         """Let links reconnect or be interrupted, and collect the counters of the compiled path."""
         engine: Any = self.core.engine
         ways = {} if engine is None else engine.interrupted
+        self._sliced, self._resume_s = [], math.inf
         for number, link in enumerate(self.links):
             interrupt: Any = getattr(link, "interrupt", None)
             if interrupt is not None:
-                interrupt(next((ways[one] for one in ways if one >> number & 1), "kept"))
+                how = next((ways[one] for one in ways if one >> number & 1), "kept")
+                interrupt(how)
+                self._sliced += [link] if isinstance(how, tuple) else []
         for number in range(len(self.links)):
             # Links outside the compiled path, such as streams, are read here.
             if self._forwarder is None or not self._forwarder.serves(number):

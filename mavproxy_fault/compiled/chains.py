@@ -72,13 +72,16 @@ def _has_exact_numbers(payload: int, size: int, step: Any, shared: Shared) -> bo
 
 
 @kernel
-def read_instance(payload: int, size: int, number: int, shared: Shared) -> int:
-    """The instance of a message that distinguishes sensors of one kind, else 0."""
+def read_instance(place: int, size: int, number: int, shared: Shared) -> int:
+    """The instance of a message that distinguishes sensors of one kind, else 0.
+
+    `place` is the address of its payload of `size` bytes.
+    """
     table = shared.table[number]
     if table[k.INSTANCE_AT] < 0:
         return i64(0)
     length = min(table[k.INSTANCE_SIZE], size - table[k.INSTANCE_AT])
-    return i64(little_endian(shared.data.ctypes.data + payload + table[k.INSTANCE_AT], length))
+    return i64(little_endian(place + table[k.INSTANCE_AT], length))
 
 
 @kernel
@@ -95,7 +98,7 @@ def is_ready(
     """Whether all entries of a message can act on a frame here; `places` then says where."""
     table = shared.table[number]
     from_vehicle = shared.ports[link, k.FROM_VEHICLE]
-    instance = read_instance(payload, size, number, shared)
+    instance = read_instance(shared.data.ctypes.data + payload, size, number, shared)
     first, place = table[k.CHAIN], 0
     while first >= 0:
         step = shared.steps[first]
@@ -201,13 +204,13 @@ def _damage(item: int, head: int, step: Any, count: int, p: k.Doubles, shared: S
         items[item, k.ALTERED] = k.DAMAGED
         return
     at, size = base, items[item, k.LENGTH_OF]
-    if whole:
+    if whole and p[2] >= 0.0:
         at, size = base + head, i64(shared.work[base + 1])
     count = min(count, size)
     for n in range(2 * count):
         shared.draws[n] = _draw(entry)
     mix_bytes(shared.work, at, size, count, shared.draws)
-    items[item, k.ALTERED] = k.CHANGED if whole and p[2] else k.DAMAGED
+    items[item, k.ALTERED] = k.CHANGED if whole and p[2] > 0.0 else k.DAMAGED
 
 
 @kernel

@@ -252,6 +252,9 @@ class CompiledCore:
             engine.now_us = int(loop[k.WANTED_AT])  # even if an older clock's, as in the core
             engine.link_us = int(loop[k.WANTED_LINK_AT])
             loop[k.WANTED_AT] = UNKNOWN
+        if loop[k.SAMPLES_AT] and core.control is not None:
+            core.control.note_samples(bytes(self.shared.sampled[: loop[k.SAMPLES_AT]]))
+        loop[k.SAMPLES_AT] = 0
         if self._tape is not None and (loop[k.RECEIVED_AT] or loop[k.SENT_AT] or loop[k.OTHER_AT]):
             self._tape.received += self.shared.received[: loop[k.RECEIVED_AT]]
             self._tape.sent += self.shared.sent[: loop[k.SENT_AT]]

@@ -22,6 +22,8 @@ from mavproxy_fault.wire import frame
 from mavproxy_fault.wire.frame import SIGNATURE_LENGTH
 from mavproxy_fault.wire.framing import has_valid_checksum
 
+SPREAD = 0x9E3779B97F4A7  # 2^52 by the golden ratio: close keys get distant places (Knuth 6.4)
+
 # The rules of the core, as machine code
 frame_header = kernel_of(frame.frame_header)
 has_unknown_flags = kernel_of(frame.has_unknown_flags)
@@ -34,21 +36,6 @@ follow_simulator = kernel_of(delay_queue.follow_simulator)
 read_stamp = kernel_of(sender_rules.read_stamp)
 read_target = kernel_of(sender_rules.read_target)
 select_links = kernel_of(sender_rules.select_links)
-
-
-@kernel
-def _is_sampled(
-    payload: int, size: int, number: int, sender: int, t_us: int, shared: Shared
-) -> bool:
-    """Whether this period of a sampled message already has a frame, which the core has seen."""
-    instance = read_instance(payload, size, number, shared)
-    key = i64(number) << 32 | sender << 16 | (instance & 0xFFFF)
-    sample = shared.samples[(key ^ key >> 11 ^ key >> 32) % k.SAMPLES]
-    period = t_us // SAMPLE_PERIOD_US
-    if sample[0] == key and sample[1] == period:
-        return True
-    sample[0], sample[1] = key, period
-    return False
 
 
 @kernel
@@ -67,8 +54,6 @@ def _is_ready_at(
     unconfirmed = senders[cells.UNCONFIRMED]
     t_us = loop[k.TIMED] = vehicle_time(senders, sender, stamp_us, now_us)
     senders[cells.LINK_TIME] = link_time(senders, now_us)
-    if table[k.SAMPLED] and not _is_sampled(payload, size, number, sender, t_us, shared):
-        return False
     at_edge = t_us >= loop[k.EDGE] or senders[cells.LINK_TIME] >= loop[k.LINK_EDGE]
     if senders[cells.UNCONFIRMED] != unconfirmed or (table[k.KIND] != k.PASS and at_edge):
         return False
@@ -100,6 +85,33 @@ def _record_received(link: int, now_us: int, at: int, length: int, shared: Share
         shared.index[place + 2 + n] = length >> (8 * n) & 0xFF
     shared.loop[k.INDEX_AT] = place + 6
     _record(shared.received, k.RECEIVED_AT, now_us, shared.data, at, length, shared)
+
+
+@kernel
+def _sample(
+    source: k.Octets, at: int, head: int, number: int, length: int, t_us: int, sides: int,
+    shared: Shared,
+) -> None:  # fmt: skip
+    """Keep a frame for viewers, the first of each period; it was received (1), sent (2) or both."""
+    place = at + (5 if head == 10 else 3)
+    sender = i64(source[place]) << 8 | i64(source[place + 1])
+    instance = read_instance(source.ctypes.data + at + head, i64(source[at + 1]), number, shared)
+    key = i64(number) << 34 | sender << 18 | (instance & 0xFFFF) << 2 | sides
+    sample = shared.samples[(key * SPREAD >> 40) % k.SAMPLES]
+    period = t_us // SAMPLE_PERIOD_US
+    is_full = shared.loop[k.SAMPLES_AT] + k.SLOT + 16 > k.SAMPLED_SIZE
+    if is_full or (sample[0] == key and sample[1] == period):
+        return
+    sample[0], sample[1] = key, period
+    _record(shared.sampled, k.SAMPLES_AT, t_us << 2 | sides, source, at, length, shared)
+
+
+@kernel
+def _sample_sent(source: k.Octets, at: int, length: int, t_us: int, shared: Shared) -> None:
+    """Keep what is sent for viewers, if it is still a frame."""
+    head, number, stop = frame_header(source, at, at + length)
+    if stop == at + length and number < k.IDS and shared.table[number, k.SAMPLED]:
+        _sample(source, at, head, number, length, t_us, 2, shared)
 
 
 @kernel
@@ -171,6 +183,8 @@ def release_due(now_us: int, shared: Shared) -> bool:
         if mask & loop[k.SEPARATE]:
             _begin_segment(mask, when_us, shared)
         _send(shared.delayed, place * k.SLOT, length, mask, when_us, shared)
+        t_us = when_us - shared.senders[cells.WALL_OFFSET]
+        _sample_sent(shared.delayed, place * k.SLOT, length, t_us, shared)
     return bool(loop[k.SEGMENT] > 0)
 
 
@@ -222,6 +236,9 @@ def _pass_frame(
     senders[cells.WALL_OFFSET] = now_us - senders[cells.LINK_TIME]
     if number == HIL_SENSOR:
         follow_simulator(shared.waiting, t_us, now_us)
+    if entry[k.SAMPLED]:
+        sides = 3 if mask and entry[k.KIND] != k.PLANNED else 1
+        _sample(data, at, head, number, stop - at, t_us, sides, shared)
     if loop[k.KEEP]:
         _record_received(link, now_us, at, stop - at, shared)
     stop = note_signature(at, stop, entry[k.EXTRA], sealed, cell, link, shared)
@@ -256,6 +273,7 @@ def _send_items(count: int, head: int, mask: int, now_us: int, shared: Shared) -
             _hold(item, mask, now_us, shared)
         else:
             _send(shared.work, item * k.SLOT, length, mask, now_us, shared)
+            _sample_sent(shared.work, item * k.SLOT, length, shared.loop[k.TIMED], shared)
     return bool(left != 1 or not same)
 
 

@@ -26,12 +26,13 @@ MOST_KEYS = 1024  # senders that rules remember
 MOST_WORK = 64  # frames that one frame may become
 SLOT = delay_queue.SLOT  # bytes kept for each
 MOST_CHAIN = 32  # entries that may act on one message
-SAMPLES = 1024  # senders of sampled messages that are distinguished
+SAMPLES = 1 << 14  # places for senders of sampled messages: two at one would sample every frame
+SAMPLED_SIZE = 1 << 20  # bytes for their frames, which are read ten times a second
 
 # Columns of `table`, by message id
 KIND, EXTRA, STAMP_AT, STAMP_SIZE, STAMP_SCALE, TARGET_SYSTEM, TARGET_COMPONENT = range(7)
 INSTANCE_AT, INSTANCE_SIZE, CHAIN = range(7, 10)  # -1 for none
-SAMPLED = 10  # whether the core has to see one of its frames in each period
+SAMPLED = 10  # whether viewers want one of its frames in each period
 TABLE_SIZE = 11
 INTERPRETED, PASS, PASS_UNTIL_EDGE, PLANNED = range(4)  # kinds
 # Columns of `entries`, a row for each active entry
@@ -88,7 +89,8 @@ RELEASE = 40  # until when delayed frames are to be released, and nothing else d
 RESTED = 41  # from when on the clock may be watched for a due frame
 TIMED = 42  # vehicle time of the frame; UNKNOWN if that is not noted yet
 SHA_INIT, SHA_UPDATE, SHA_FINAL = range(43, 46)  # addresses of OpenSSL's functions, or 0
-LOOP_SIZE = 46
+SAMPLES_AT = 46  # bytes of `sampled`
+LOOP_SIZE = 47
 UNTOUCHED, BEGUN = -1, -2
 # Why it returns
 TIME_IS_UP, HANDED_OVER, OTHER_READY, LENT_PASSED, TO_SETTLE = range(5)
@@ -147,6 +149,7 @@ class Shared(NamedTuple):
     work: Octets = ("B", MOST_WORK * SLOT)
     items: Integers = ("q", MOST_WORK, 3)
     samples: Integers = ("q", SAMPLES, 2)  # sender and period of the newest sample
+    sampled: Octets = ("B", SAMPLED_SIZE)  # as a log, but with 4 times the vehicle time + the sides
     key: Octets = ("B", KEY_LENGTH)  # of signatures
     sha_state: Octets = ("B", 256)  # OpenSSL's, of which it takes 112
     digest: Octets = ("B", 32)

@@ -122,7 +122,7 @@ class DocumentCheck:
     def arguments(
         self, data: dict[str, Any], kind: type[msgspec.Struct], path: Path, given: Iterable[str]
     ) -> dict[str, Any]:
-        """Convert the fields of a struct that are in `data`; the caller supplies those `given`."""
+        """A struct's fields that are in `data`, converted; the caller adds those `given`."""
         hints = typing.get_type_hints(kind, include_extras=True)
         found: dict[str, Any] = {}
         for field in msgspec.structs.fields(kind):

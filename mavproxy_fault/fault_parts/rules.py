@@ -111,7 +111,7 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
 
     def numbers(self) -> Numbers:
         """Return the parameters of the rule."""
-        return [float(getattr(self, name)) for name in self.parameters]
+        return [float(getattr(self, name) or 0.0) for name in self.parameters]
 
     def new_state(self, start_us: int) -> Memory:
         """Return the memory of one direction, which begins with the start time."""

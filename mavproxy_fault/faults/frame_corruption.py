@@ -15,7 +15,7 @@ from mavproxy_fault.fault_parts.rules import (
     link_rule,
 )
 from mavproxy_fault.faults.loss import Share
-from mavproxy_fault.faults.timing import choose_share
+from mavproxy_fault.faults.timing import ShareFault
 from mavproxy_fault.wire.frame import Frame
 
 
@@ -25,34 +25,40 @@ def mix_bytes(data: Any, at: int, size: int, count: int, draws: Any) -> None:
         data[at + choose_place(n, count, size, draws)] ^= 1 + int(draws[count + n] * 255)
 
 
-class Corrupt(RuleLinkFault, frozen=True, kw_only=True):
-    """Replace `count` random payload bytes in a fraction `value` of the frames.
+class Corrupt(ShareFault, frozen=True, kw_only=True):
+    """Replace `count` random bytes in a fraction `value` of the frames, in the payload or anywhere.
 
-    The CRC is `left` unchanged, so that receivers reject the frame, or `redone` to match.
+    The CRC is `left` unchanged, so that receivers reject the frame, or `redone` to match; a wrong
+    byte in the header may cost them the next frames too. With the probability `correlation` a frame
+    shares the choice of the one before.
     """
 
     name: ClassVar[str] = "corrupt"
     example: ClassVar[dict[str, Any]] = {"crc": "redone", "target": "HIL_SENSOR"}
-    rule = staticmethod(choose_share)
     effect: ClassVar[Effect] = "mix"
     drawn: ClassVar[Drawn] = "random"
 
-    value: Share = 1.0
     count: Annotated[int, Meta(ge=1)] = 1
     crc: Literal["left", "redone"] = "left"
+    part: Literal["payload", "frame"] = "payload"
+
+    def __post_init__(self) -> None:
+        if self.part == "frame" and self.crc == "redone":
+            raise ValueError("part: frame damages the CRC too; leave out crc: redone")
 
     def numbers(self) -> Numbers:
-        """Return share, number of bytes, and whether the CRC matches."""
-        return self.value, float(self.count), float(self.crc == "redone")
+        """Return share, number of bytes, whether the CRC matches (-1: may change), correlation."""
+        crc = -1.0 if self.part == "frame" else float(self.crc == "redone")
+        return self.value, float(self.count), crc, self.correlation
 
     def outcome(
         self, frame: Frame | bytes, t_us: int, memory: Memory, rng: Generator
     ) -> list[Outgoing]:
         """Replace some bytes; of what is not a frame, any of them."""
-        if isinstance(frame, bytes):
-            raw, at, size = frame, 0, len(frame)
-        else:
-            raw, at, size = frame.raw, frame.payload_at, frame.length
+        raw = frame if isinstance(frame, bytes) else frame.raw
+        at, size = 0, len(raw)
+        if isinstance(frame, Frame) and self.part == "payload":
+            at, size = frame.payload_at, frame.length
         number, mixed = self.choose(len(raw), t_us, memory, rng), bytearray(raw)
         if not number:
             return [Outgoing(t_us, frame)]
@@ -64,17 +70,21 @@ class Corrupt(RuleLinkFault, frozen=True, kw_only=True):
         return [Outgoing(t_us, bytes(mixed))]
 
 
-class Truncate(RuleLinkFault, frozen=True, kw_only=True):
-    """Cut the last `count` bytes off a fraction `value` of the frames."""
+class Truncate(ShareFault, frozen=True, kw_only=True):
+    """Cut the last `count` bytes off a fraction `value` of the frames.
+
+    With the probability `correlation` a frame shares the choice of the one before.
+    """
 
     name: ClassVar[str] = "truncate"
     example: ClassVar[dict[str, Any]] = {}
-    rule = staticmethod(choose_share)
-    parameters: ClassVar[tuple[str, ...]] = ("value", "count")
     effect: ClassVar[Effect] = "cut"
 
-    value: Share = 1.0
     count: Annotated[int, Meta(ge=1)] = 4
+
+    def numbers(self) -> Numbers:
+        """Return share, number of bytes, and correlation."""
+        return self.value, float(self.count), 0.0, self.correlation
 
 
 @link_rule

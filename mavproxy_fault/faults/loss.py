@@ -36,15 +36,12 @@ class Drop(ProfiledLinkFault, frozen=True, kw_only=True):
     example: ClassVar[dict[str, Any]] = {"value": 0.5}
     on_ranges: ClassVar[bool] = True
     rule = staticmethod(lose_share)
+    parameters: ClassVar[tuple[str, ...]] = ("value", "correlation")
     remembers: ClassVar[int] = 3
     default: ClassVar[float | None] = 1.0
 
     value: Share | None = None
     correlation: Correlation = 0.0
-
-    def numbers(self) -> Numbers:
-        """Return share and correlation."""
-        return self.value or 0.0, self.correlation
 
 
 @link_rule
@@ -61,10 +58,6 @@ class BitErrors(ProfiledLinkFault, frozen=True, kw_only=True):
     rule = staticmethod(lose_by_length)
 
     value: Share | None = None
-
-    def numbers(self) -> Numbers:
-        """Return the rate."""
-        return (self.value or 0.0,)
 
 
 @link_rule

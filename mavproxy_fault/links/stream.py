@@ -2,6 +2,8 @@
 that open one again."""
 
 import contextlib
+import math
+import random
 import time
 from collections import deque
 from collections.abc import Callable
@@ -11,6 +13,8 @@ from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import QUEUE_LIMIT, Chunk, LinkCounters
 
 REOPEN_S = 0.5  # chosen: two attempts per second cost nothing
+Pieces = tuple[int, int, float]  # bytes, how many more or fewer at random, seconds between two
+Treatment = str | Pieces  # of a connection by a fault: how it is interrupted, or cut into pieces
 READ_SIZE = 32_768  # bytes; junk read at once must still fit one datagram
 
 
@@ -32,7 +36,8 @@ class Stream:
     ) -> None:
         self.fileno = fileno
         self.open = True  # False while a TCP connection is being established
-        self.piece: int | None = None  # bytes that one call may send; None for all
+        self.pieces: Pieces | None = None  # what one call may send; None for all
+        self._resume_s = 0.0  # end of the pause
         self._read, self._write = calls  # of a socket or a file: they differ on Windows
         self._descriptors = descriptors
         self._counters = counters
@@ -50,7 +55,7 @@ class Stream:
     @property
     def has_pending(self) -> bool:
         """Whether data are still to be sent, or sent in pieces only."""
-        return bool(self._queue) or self.piece is not None
+        return bool(self._queue) or self.pieces is not None
 
     def write(self, data: bytes) -> None:
         """Send, or queue what the kernel does not accept; drop entire chunks beyond the limit."""
@@ -63,15 +68,23 @@ class Stream:
         if self.open and len(self._queue) == 1:
             self.flush()
 
-    def flush(self) -> None:
-        """Send queued data until the kernel accepts no more; the rest is sent later."""
+    def flush(self) -> float:
+        """Send queued data until the kernel accepts no more, or a pause begins.
+
+        Returns when the pause ends [s], infinity without one.
+        """
         queue = self._queue
-        while queue:
+        while queue and time.monotonic() >= self._resume_s:
             data = queue[0]
+            piece, pause_s = len(data), 0.0
+            if self.pieces is not None:
+                mean, most, pause_s = self.pieces
+                piece = max(mean + random.randint(-most, most), 1)
             try:
-                sent = self._write(data[: self.piece])
+                sent = self._write(data[:piece])
             except OSError:  # buffer full, or connection lost, which the next read detects
                 break
+            self._resume_s = time.monotonic() + pause_s if pause_s else 0.0
             self._queued -= sent
             self._counters.bytes_out += sent
             if sent < len(data):
@@ -80,7 +93,9 @@ class Stream:
                 break
             queue.popleft()
             self._counters.chunks_out += 1
-        self._await_room(wanted=bool(queue))
+        pauses = bool(queue) and time.monotonic() < self._resume_s
+        self._await_room(wanted=bool(queue) and not pauses)
+        return self._resume_s if pauses else math.inf
 
     def read(self, most: int = READ_SIZE) -> tuple[bytes, bool]:
         """Return received data, at most `most` bytes, and whether the stream is still open.
@@ -172,6 +187,10 @@ class ReopenedLink:
             chunks.append((self._number, b""))
             self._number += 1
         return chunks
+
+    def flush(self) -> float:
+        """Send what a pause has kept; return when the next one ends [s]."""
+        return math.inf if self._peer is None else self._peer[1].flush()
 
     def _reopen(self) -> None:
         self._retry_s = time.monotonic() + REOPEN_S

@@ -6,6 +6,7 @@ Each link watches its changing set of sockets through its own `Descriptors`.
 import contextlib
 import errno
 import logging
+import math
 import socket
 import struct
 import time
@@ -14,7 +15,7 @@ from typing import Any
 from mavproxy_fault.links.descriptors import Descriptors
 from mavproxy_fault.links.link import Chunk, LinkCounters, host_port
 from mavproxy_fault.links.peers import MAX_PEERS
-from mavproxy_fault.links.stream import READ_SIZE, REOPEN_S, ReopenedLink, Stream
+from mavproxy_fault.links.stream import READ_SIZE, REOPEN_S, ReopenedLink, Stream, Treatment
 
 LOG = logging.getLogger(__name__)
 ACCEPT_PAUSE_S = 0.5  # without accepting connections after running out of descriptors
@@ -50,12 +51,12 @@ def _stream(sock: socket.socket, descriptors: Descriptors, counters: LinkCounter
     return Stream(sock.fileno(), (sock.recv, sock.send), descriptors, counters, empty_is_end=True)
 
 
-def _interrupt(sock: socket.socket, stream: Stream, how: str | int) -> None:
-    """End a connection, which the next read finds, or send in pieces of so many bytes.
+def _interrupt(sock: socket.socket, stream: Stream, how: Treatment) -> None:
+    """End a connection, which the next read finds, or send in pieces.
 
     Closing a socket that does not linger sends a reset, unless it was shut down for writing.
     """
-    stream.piece = how if isinstance(how, int) else None
+    stream.pieces = how if isinstance(how, tuple) else None
     with contextlib.suppress(OSError):  # already lost
         if how == "closed":
             sock.shutdown(socket.SHUT_RDWR)
@@ -91,7 +92,7 @@ class TcpServer:
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         self._descriptors.add(self._listener.fileno())
 
-    def interrupt(self, how: str | int) -> None:
+    def interrupt(self, how: Treatment) -> None:
         """Treat connections as a fault asks, `kept` to go on; repeated while it is active."""
         refused = self._listener.fileno() < 0
         if how == "refused" and not refused:
@@ -219,6 +220,10 @@ class TcpServer:
         for _, stream, _ in self._peers.values():
             stream.write(data)
 
+    def flush(self) -> float:
+        """Send what pauses have kept; return when the first of the next ones ends [s]."""
+        return min((stream.flush() for _, stream, _ in self._peers.values()), default=math.inf)
+
     def close(self) -> None:
         """Close the listener and all connections."""
         for sock, stream, _ in self._peers.values():
@@ -241,7 +246,7 @@ class TcpClient(ReopenedLink):
         self._warned = False
         self._reopen()
 
-    def interrupt(self, how: str | int) -> None:
+    def interrupt(self, how: Treatment) -> None:
         """Treat the connection as a fault asks, `kept` to go on; repeated while it is active."""
         if self._peer is not None:
             _interrupt(*self._peer, how)

@@ -65,6 +65,7 @@ class EndpointStatistics(Latencies, total=False):
     chunks_in: int
     bytes_out: int
     lost_in_kernel: int
+    delays_lost: int
     refused: int
     drops: int
     errors: int

@@ -37,7 +37,7 @@ from mavproxy_fault.live.failure_command import (
 )
 from mavproxy_fault.live.named_files import check_files
 from mavproxy_fault.live.rflysim import IdMap, Packet
-from mavproxy_fault.live.subscriptions import SubscribedMessages, Watched
+from mavproxy_fault.live.subscriptions import RECEIVED, SubscribedMessages, Watched
 from mavproxy_fault.proxy.announcements import COMPONENT
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import NEVER_US
@@ -55,6 +55,7 @@ COMMANDS = frozenset(message_layout(name).id for name in ("COMMAND_LONG", "COMMA
 ACKNOWLEDGEMENT = message_layout("COMMAND_ACK").id
 PARAMETER = message_layout("PARAM_VALUE").id
 HEARTBEAT = message_layout("HEARTBEAT").id
+TUNNEL = message_layout("TUNNEL").id
 STATION = 6  # MAV_TYPE_GCS
 SILENT_US = 3_000_000  # chosen: three heartbeats missing
 FAILURE_PARAMETER = (
@@ -102,6 +103,7 @@ class LiveControl:
         self.rflysim = rflysim
         self.folders = folders
         self.view = SubscribedMessages()
+        self.note_samples = self.view.note_samples
         self.senders = array("q")  # the core's, once attached
         self.replayed_us: int | None = None  # wall time of an edit that a replay repeats
         self._latched: set[str] = set()
@@ -131,7 +133,7 @@ class LiveControl:
         A `sealed` frame (signed with an unknown key) cannot be changed.
         """
         if frame.id in self.view.ids:
-            self.view.sample(frame, t_us, sent=False)
+            self.view.sample(frame, t_us, RECEIVED)
         if frame.id == HEARTBEAT:
             return self._answer_heartbeat(frame, t_us)
         if frame.id in COMMANDS:
@@ -400,6 +402,7 @@ class LiveControl:
 
     def _update_wanted(self) -> None:
         self.needed = COMMANDS | {HEARTBEAT, PARAMETER, ACKNOWLEDGEMENT, *self._learning}
+        self.needed |= self.view.ids & {TUNNEL}  # of whose fragments none may be missing
         self.wanted = self.needed | self.view.ids
 
     # -- Zenoh -----------------------------------------------------------------------------------

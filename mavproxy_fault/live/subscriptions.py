@@ -1,12 +1,12 @@
 """Viewer subscriptions: samples of chosen messages, as received and as sent, at a bounded rate.
 
 On either side the first frame in each 20 ms of the vehicle's time is sampled, so that a frame
-without a fault gives the same sample on both. A subscription expires unless it is renewed;
-without subscriptions no frame is sampled.
+without a fault gives the same sample on both. Frames are kept as they are until a viewer reads
+them. A subscription expires unless it is renewed; without subscriptions no frame is sampled.
 """
 
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import msgspec
@@ -14,7 +14,7 @@ import msgspec
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.proxy.sender_rules import SAMPLE_PERIOD_US
 from mavproxy_fault.wire.dialect import Layout, find_layout, message_layout, message_names
-from mavproxy_fault.wire.frame import STX_V2, Frame, Number
+from mavproxy_fault.wire.frame import STX_V2, Frame, Number, frame_header
 
 if TYPE_CHECKING:
     from mavproxy_fault.live.watched_ranges import RangeSampler
@@ -22,9 +22,11 @@ if TYPE_CHECKING:
 LEASE_S = 5.0  # a subscription expires this long after its last renewal
 MOST_MESSAGES = 32
 MOST_SAMPLERS = 256
-MOST_ROWS = 100  # buffered between two reads: two seconds
+MOST_ROWS = 250  # buffered between two reads: 5 s, or 0.1 s of a flight at 50 times the speed
 
 RANGES = "PSEUDORANGE"
+RECEIVED, SENT = (False,), (True,)
+SIDES: tuple[tuple[bool, ...], ...] = (), RECEIVED, SENT, (False, True)  # by a record's number
 
 Row = tuple[Number | None, ...]
 
@@ -64,8 +66,8 @@ class MessageSampler:
                 for field in fields
             )
         )
-        self.received: list[Row] = []
-        self.sent: list[Row] = []
+        self.received: list[tuple[int, bytes]] = []
+        self.sent: list[tuple[int, bytes]] = []
         self._periods = [-1, -1]
 
     def note(self, frame: Frame, t_us: int, *, sent: bool) -> None:
@@ -76,14 +78,16 @@ class MessageSampler:
         if period == self._periods[sent] or len(rows) >= MOST_ROWS:
             return
         self._periods[sent] = period
-        size = self._payload.size
         # MAVLink 2 truncates trailing zeros; extra fields of a newer dialect are ignored.
-        values = self._payload.unpack(frame.payload[:size].ljust(size, b"\0"))
-        rows.append((t_us, *values))
+        size = self._payload.size
+        rows.append((t_us, frame.payload[:size].ljust(size, b"\0")))
 
     def drain(self) -> tuple[tuple[str, ...], list[Row], list[Row]]:
         """Return the fields and the received and sent rows since the last call."""
-        received, sent = self.received, self.sent
+        received = [(t_us, *self._payload.unpack(values)) for t_us, values in self.received]
+        sent = received
+        if self.sent != self.received:
+            sent = [(t_us, *self._payload.unpack(values)) for t_us, values in self.sent]
         self.received, self.sent = [], []
         return self.fields, received, sent
 
@@ -152,10 +156,20 @@ class SubscribedMessages:
         # Only the id is read, since most messages have no viewer.
         number = int.from_bytes(raw[7:10], "little") if raw[0] == STX_V2 else raw[5]
         if number in self.ids:
-            self.sample(Frame(raw, message_layout(number)), t_us, sent=True)
+            self.sample(Frame(raw, message_layout(number)), t_us, SENT)
 
-    def sample(self, frame: Frame, t_us: int, *, sent: bool) -> None:
-        """Sample a frame of a subscribed message, as received or as sent."""
+    def note_samples(self, records: bytes) -> None:
+        """Take samples of machine code: four times the time plus the sides, and the frame."""
+        at = 0
+        while at < len(records):
+            word = int.from_bytes(records[at : at + 8])
+            _, number, end = frame_header(records, at + 8, len(records))
+            raw, at = records[at + 8 : end], end
+            if number in self.ids:
+                self.sample(Frame(raw, message_layout(number)), word >> 2, SIDES[word & 3])
+
+    def sample(self, frame: Frame, t_us: int, sides: Sequence[bool]) -> None:
+        """Sample a frame of a subscribed message, as received (False) or sent (True)."""
         field = frame.layout.instance or "id"
         value = frame.read(field) if field in frame.layout.fields else 0
         instance = value.decode("ascii", "replace") if isinstance(value, bytes) else value
@@ -167,7 +181,8 @@ class SubscribedMessages:
                 if len(self._sources) >= MOST_SAMPLERS:
                     return
                 source = self._sources[key] = new_sampler(name)
-            source.note(frame, t_us, sent=sent)
+            for sent in sides:
+                source.note(frame, t_us, sent=sent)
 
     def drain(self) -> list[Watched]:
         """Return the samples since the last call."""

@@ -115,6 +115,7 @@ class Core:
         self.release_delayed: Callable[[int], list[Send]] | None = None  # by machine code
         self._on_wall_clock = False
         self._doubted = 0  # timestamps, on all links
+        self._frame_us = 0  # vehicle time of the frame in process
         self._numbers: dict[int, list[int]] = {}  # cache: link numbers by bit mask
         self._listeners = self._routes.all_links & ~vehicle_links  # that announcements go to
 
@@ -195,7 +196,7 @@ class Core:
             numbers[LAST_DUE] = when_us = max(due_us, numbers[LAST_DUE])
             if is_delayed:
                 mask, raw = self.waiting.release()
-                self._record(raw, when_us)
+                self._record(raw, when_us, when_us - self.senders[WALL_OFFSET])
                 sends += self.to_links(mask, raw, when_us)
             else:
                 sends += self._release_from_engine(when_us)
@@ -325,7 +326,7 @@ class Core:
         if self.engine is None:
             self._send_now(mask, raw, now_us, batch)
             return
-        t_us = self.clock.t_us if self.clock.t0_us is not None else now_us
+        t_us = self._frame_us = self.clock.t_us if self.clock.t0_us is not None else now_us
         route = Route(1 << arrival.link, mask, self._note_link_time(now_us))
         whole = raw if frame is None else frame
         for out in self.engine.junk(whole, arrival.direction, t_us, route, sealed=sealed):
@@ -351,6 +352,7 @@ class Core:
         senders, now_us = self.senders, arrival.now_us
         first_us = senders[T0]
         t_us = self.clock.read(frame, now_us) if arrival.t_us is None else arrival.t_us
+        self._frame_us = t_us
         if senders[UNCONFIRMED] != self._doubted:
             self._doubted = senders[UNCONFIRMED]
             state.unconfirmed += 1
@@ -412,14 +414,14 @@ class Core:
 
     def _send_now(self, mask: int, raw: bytes, now_us: int, batch: OutgoingBatch) -> None:
         if mask:
-            self._record(raw, now_us)
+            self._record(raw, now_us, self._frame_us)
             batch.append((mask, raw))
 
-    def _record(self, raw: bytes, when_us: int) -> None:
+    def _record(self, raw: bytes, when_us: int, t_us: int) -> None:
         if self._capture is not None:
             self._capture.send(when_us, raw)
         if self.control is not None:
-            self.control.sent(raw, when_us - self.senders[WALL_OFFSET])
+            self.control.sent(raw, t_us)
 
     def _announce(self, labels: "list[Label]", now_us: int, batch: OutgoingBatch) -> None:
         for label in labels:
@@ -476,7 +478,8 @@ class Core:
     def _release_from_engine(self, when_us: int) -> list[Send]:
         assert self.engine is not None
         batch: OutgoingBatch = []
-        for outgoing in self.engine.due(when_us - self.senders[WALL_OFFSET]):
+        self._frame_us = when_us - self.senders[WALL_OFFSET]
+        for outgoing in self.engine.due(self._frame_us):
             mask = self._links_of_pending(outgoing.frame)
             if outgoing.back:  # to all links, as the earlier ones may have gone anywhere
                 mask = self._routes.all_links

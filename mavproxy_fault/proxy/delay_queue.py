@@ -12,11 +12,13 @@ from mavproxy_fault.fault_parts.memory import new_table
 from mavproxy_fault.proxy.interfaces import NEVER_US
 from mavproxy_fault.proxy.sender_rules import MAX_TIME_JUMP_US
 
-MOST = 1 << 18  # chosen: 10 s of 26,000 frames a second; what does not fit is lost
+MOST = 1 << 18  # chosen: 10 s of 26,000 frames a second; what does not fit is lost, and counted
 SLOT = 320  # bytes kept for a frame, more than the longest
 # Waiting, put so far, a free place + 1, newest due time, wall time minus a simulator's time.
 COUNT, PUT, FREE, LAST_DUE, SIMULATOR_OFFSET = range(5)
-HEAP = 5
+LOST = 5  # frames that found the queue full, by the links that they were for
+MOST_LINKS = 63  # in a mask
+HEAP = LOST + MOST_LINKS
 ROWS = HEAP + MOST
 DUE, ORDER, LINKS, LENGTH = range(4)  # of a row; ORDER links free places
 ROW = 4
@@ -35,9 +37,11 @@ def is_before(queue: Queue, one: int, other: int) -> bool:
 
 
 def put(queue: Queue, due_us: int, links: int, length: int) -> int:
-    """Put a frame into the queue; its place, -1 if it is full."""
+    """Put a frame into the queue; its place, -1 if it is full, which is counted."""
     at = queue[COUNT]
     if at == MOST:
+        for link in range(MOST_LINKS):
+            queue[LOST + link] += links >> link & 1
         return -1
     place, queue[COUNT] = at, at + 1
     if queue[FREE]:

@@ -210,9 +210,9 @@ class Engine:
         self._index()
 
     @property
-    def interrupted(self) -> dict[int, str | int]:
+    def interrupted(self) -> dict[int, Any]:
         """What active faults do to connections, by the links (a bit mask)."""
-        found: dict[int, str | int] = {}
+        found: dict[int, Any] = {}
         for running in self._all:
             how = getattr(running.fault, "connection", "kept") if running.active else "kept"
             if how != "kept" and (running.frames or not getattr(running.fault, "after_bytes", 0)):

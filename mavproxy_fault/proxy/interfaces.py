@@ -45,7 +45,7 @@ ANY = Route()
 class CommandResponder(Protocol):
     """Responder for commands to the proxy itself; `wanted` are the messages it sees.
 
-    Of those that are not `needed` one frame in each `SAMPLE_PERIOD_US` is enough.
+    Of those that are not `needed` machine code only keeps samples.
 
     `senders` is the core's state of the senders, set by `Core.attach`.
     """
@@ -65,3 +65,6 @@ class CommandResponder(Protocol):
 
     def sent(self, raw: bytes, t_us: int) -> None:
         """Observe a sent frame, at its vehicle time."""
+
+    def note_samples(self, records: bytes) -> None:
+        """Take the samples that machine code has kept."""

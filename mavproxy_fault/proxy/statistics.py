@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from mavproxy_fault.proxy.delay_queue import LOST, MOST
 from mavproxy_fault.wire.dialect import describe_unknown
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ def link_statistics(core: "Core", number: int) -> dict[str, Any]:
         "unknown_ids": {str(number): count for number, count in parsed.unknown_ids.items()},
         "gaps": state.gaps,
         "faulted": state.faulted,
+        "delays_lost": core.waiting.numbers[LOST + number],
         "loops": state.loops,
         "doubted_stamps": state.unconfirmed,
         "bad_signatures": state.bad_signatures,
@@ -89,5 +91,10 @@ def format_endpoints(endpoints: Sequence[dict[str, Any]]) -> str:
             f"{name}: {describe_unknown({int(number): count for number, count in ids.items()})}"
             for name, ids in unknown
             if ids
+        ]
+        + [
+            f"{point['name']}: {lost} delayed frames lost, as {MOST} were waiting"
+            for point in endpoints
+            if (lost := point.get("delays_lost"))
         ]
     )

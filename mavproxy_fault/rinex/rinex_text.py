@@ -19,16 +19,21 @@ def read_rinex_text(path: Path) -> list[str]:
     ConfigError
         If it cannot be read or is not RINEX.
     """
+    lines = read_lines(path)
+    if not lines or not lines[0][60:].startswith("RINEX VERSION"):
+        raise ConfigError(f"{path}: is not a RINEX file; its first line must end in RINEX VERSION")
+    return lines
+
+
+def read_lines(path: Path) -> list[str]:
+    """Read the lines of a text file, decompressed if necessary; ConfigError if that fails."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give a RINEX file") from error
     if path.name.lower().endswith(PACKED) or b"CRINEX" in data[:80]:
         data = _decompressed(data, path)
-    lines = data.removeprefix(BYTE_ORDER_MARK).decode("ascii", "replace").splitlines()
-    if not lines or not lines[0][60:].startswith("RINEX VERSION"):
-        raise ConfigError(f"{path}: is not a RINEX file; its first line must end in RINEX VERSION")
-    return lines
+    return data.removeprefix(BYTE_ORDER_MARK).decode("ascii", "replace").splitlines()
 
 
 def _decompressed(data: bytes, path: Path) -> bytes:

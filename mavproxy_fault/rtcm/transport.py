@@ -1,12 +1,5 @@
-"""RTCM 3 messages and their transport in MAVLink TUNNEL.
-
-A message consists of a three-byte header (0xD3, six zero bits, ten bits of length), the body and a
-CRC-24Q of both [1]_. MAVLink has no message for raw pseudoranges, so RTCM messages travel in TUNNEL
-with the payload type below (types above 32767 are for private use [2]_). The first byte of a TUNNEL
-payload is the flags byte of GPS_RTCM_DATA [2]_: bit 0 fragmented, bits 1 and 2 the fragment number,
-bits 3 to 7 the sequence number of the message; up to 127 bytes of the message follow. A fragmented
-message is complete with all four fragments, or with all up to the first one that is not full; a
-fragmented message of 254 or 381 bytes therefore ends with an empty fragment.
+"""RTCM 3 messages [1]_ and their transport in MAVLink TUNNEL [2]_ (docs/gnss.md, "Pseudoranges on
+MAVLink").
 
 References
 ----------

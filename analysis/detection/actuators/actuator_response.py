@@ -61,11 +61,9 @@ ELEVATOR = "elevator"  # only vehicles with wings have one
 BY_FIRST_FIX = -1.0  # the first fix decides
 ALT, VELOCITY = 2, slice(3, 6)  # columns of a fix
 GAP_US = 500_000  # without an IMU sample the motion begins anew
-# Deviation of a command's lag behind the IMU that suspends the test (1.5 motor lags), for how many
-# bins, and the weight of a command in the mean lag (50 commands)
-LATE_US, IRREGULAR_BINS, LAG_SHARE = 60_000, 10, 0.02
+IRREGULAR_BINS = 10  # 1 s without a test after frames that a link swapped, or near the ground
+INTERVAL_SHARE = 0.02  # weight of a command in the usual interval: 50 commands
 SPARSE_COMMAND_US = 60_000  # longer intervals hide what motors (lag 40 ms) do in between
-MOST_COMMAND = 100.0  # no output exceeds 1; larger values come from corrupted logs
 IMPACT_BINS = 50  # 5 s: until what has hit the ground lies still; ArduPilot's crash check waits 2 s
 # r above which learning pauses (3.5 sigma), and for how many bins at most; else a stuck rudder
 # is missed (benchmarks/actuator_watch.py).
@@ -101,8 +99,7 @@ class ActuatorResponse:
     regression: ResponseRegression = field(default_factory=ResponseRegression)
     first_alt_m: float = math.nan
     source: int = 0  # of the commands
-    lag_us: float = math.nan  # means of the commands: behind the IMU, and their interval
-    interval_us: float = math.nan
+    interval_us: float = math.nan  # of the commands
     command_us: int = -FOREVER_US
     from_ground: bool = False  # its motors stood still at the first command
     flies: bool = False
@@ -179,14 +176,13 @@ class ActuatorResponse:
             self.source = source
             wings = ELEVATOR in self.effects.names  # theirs is decided by the first fix
             self.from_ground = source == CONTROLS and not wings and not outputs.any()
-        if source != self.source or not (np.abs(outputs) <= MOST_COMMAND).all():
+        if source != self.source or not (np.abs(outputs) <= IMU_VALUE_LIMIT).all():
             return None
-        self._compare_lag(self.bins.sample_us - t_us)
         apart_us, self.command_us = t_us - self.command_us, t_us
         if 0 < apart_us < GAP_US:
             if math.isnan(self.interval_us):
                 self.interval_us = apart_us
-            self.interval_us += LAG_SHARE * (apart_us - self.interval_us)
+            self.interval_us += INTERVAL_SHARE * (apart_us - self.interval_us)
         self.bins.commands = self.effects.mix @ outputs
         if source != OUTPUTS:
             return None
@@ -207,16 +203,6 @@ class ActuatorResponse:
             return None
         pair = NO_HYPOTHESIS, who
         return ActuatorVerdict(row, t_us, pair, self.trim.score, self.trim.raised)
-
-    def _compare_lag(self, lag_us: int) -> None:
-        """Suspend the test if a command's lag behind the IMU differs from the mean lag."""
-        if not self.flies or abs(lag_us) > GAP_US:
-            return
-        if math.isnan(self.lag_us):
-            self.lag_us = lag_us
-        elif abs(lag_us - self.lag_us) > LATE_US:
-            self.irregular_left = IRREGULAR_BINS
-        self.lag_us += LAG_SHARE * (lag_us - self.lag_us)
 
     def _begin_flight(self) -> None:
         """Reset the parts of the state that a take-off or a gap invalidates."""

@@ -22,9 +22,8 @@ CONSTANT_SIGMA = 30.0  # of an axis before the flight: three times the weight, f
 # On flights of benchmarks/actuator_watch.py, seed 1. One sigma of a coefficient and of its
 # nonlinearity: half or twice changes delays by 0.2 s.
 EFFECT_SIGMA_SHARE = 0.15
-# Smallest sigma: a share of the largest of its kind; rates in 1/s, forces in rad/m. Half or twice
-# changes no row.
-SMALL_SHARE, SMALL_COMMAND, SMALL_RATE, SMALL_FORCE = 0.02, 0.02, 0.3, 0.02
+# Smallest sigma, else a coefficient of 0 could not be learned; rates in 1/s, forces in rad/m.
+SMALL_COMMAND, SMALL_RATE, SMALL_FORCE = 0.02, 0.3, 0.02
 # The same for any output of an unknown vehicle: the examples' have 38 to 67, 0.3 to 0.8 and 0.
 UNKNOWN_SIGMA, UNKNOWN_RATE_HZ, UNKNOWN_FORCE = 50.0, 1.0, 0.1
 UNKNOWN_LIFT_MPS2 = 5.0  # one of four rotors that hover at half power
@@ -69,10 +68,7 @@ class Effects(NamedTuple):
         sigma = EFFECT_SIGMA_SHARE * np.abs(self.coefficients)
         kinds = ((OUTPUT, RATE, SMALL_COMMAND), (RATE, FORCE, SMALL_RATE))
         for begin, end, least in (*kinds, (FORCE, AIRSPEED, SMALL_FORCE)):
-            greatest = np.abs(self.coefficients[:, begin:end]).max(axis=1, keepdims=True)
-            sigma[:, begin:end] = np.hypot(
-                sigma[:, begin:end], np.maximum(SMALL_SHARE * greatest, least)
-            )
+            sigma[:, begin:end] = np.hypot(sigma[:, begin:end], least)
         sigma[:, CONSTANT] = CONSTANT_SIGMA
         # Without wings neither side force nor airspeed predicts drag.
         sigma[ANGULAR:, FORCE:] *= self.coefficients[ANGULAR:, FORCE:] != 0.0

@@ -48,7 +48,9 @@ NOISE_PER_SPREAD = 3.0
 FIRST_SPREAD = 0.03  # variance of m before the flight: half or twice changes them by 0.2 s
 UNOBSERVED_VARIANCE = 1e6  # variance of an axis that is not observed
 MOST_SIGMAS = 3.0  # e is clipped to three sigma: p 0.3 %
-MEAN_OUTLIER_STATISTIC = 10.0  # m' inv(V) m above which m has less weight in C: chi2inv(0.875, 6)
+# m' inv(V) m above which m has less weight in C, chi2inv(0.875, 6): without it the throttle of
+# `motor-efficiency` is isolated 0.5 s later (benchmarks/preset_table.py).
+MEAN_OUTLIER_STATISTIC = 10.0
 # A learned rotor: 5 sigma (p 6e-7), and some lift, part of which reactions to gusts hide.
 KNOWN_SIGMAS, LEARNED_LIFT_MPS2 = 5.0, -0.3
 

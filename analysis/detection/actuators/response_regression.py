@@ -39,16 +39,14 @@ from analysis.samples.sample import Vector
 HYPOTHESES = COMMANDS + 2  # actuators, LOAD and PITOT
 BINS_PER_STEP = 5  # bins of a step: half a second
 RETENTION = 0.95  # per step: a memory of 10 s
-INITIAL_SPREADS = 2.0  # V before the flight, in covariances of m: half seconds are shorter than m
 TRIM_VARIANCES = 4.0  # variance of the trim over V: 2 sigma; half or twice changes no row
 STUCK_LEAST_EXPLAINED = 6.0  # r that the free constant has to add: 2.4 sigma, p 0.014
 STUCK_SHARE = 0.4  # least g of an actuator that has been stuck for some seconds
 # Least r and least g^2 over its variance (5.5 and 3.7 sigma of one degree of freedom); largest
 # remainder per degree of freedom, absolute and as a share of r; least lead over the next hypothesis
-# in units of the remainder, the smallest unit, and for another actuator as a share of r (one
-# outlier says more than the model knows): no false isolation in benchmarks/actuator_watch.py.
+# in units of the remainder: no false isolation in benchmarks/actuator_watch.py.
 LEAST_EXPLAINED, LEAST_SIGNIFICANCE, MOST_LEFT, MOST_LEFT_SHARE = 30.0, 14.0, 3.0, 0.15
-LEAST_LEAD, LEAST_NOISE, LEAST_LEAD_SHARE = 12.0, 0.25, 0.2  # the last three of these
+LEAST_LEAD = 12.0  # the last of these
 # Steps before the first test: 10 s; of an unknown vehicle 30 s: gusts led to an alarm at 29 s
 LEARNED_STEPS, UNKNOWN_LEARNED_STEPS = 20.0, 60.0
 LEAST_STEPS = 2.5  # steps since the last reset
@@ -110,7 +108,7 @@ class ResponseRegression:
         terms, error = self.terms / BINS_PER_STEP, self.errors / BINS_PER_STEP
         self.terms, self.errors, self.filled = np.zeros(TERMS), np.zeros(AXES), 0
         if self.learned_steps == 0.0:
-            self.cov = INITIAL_SPREADS * model.spread
+            self.cov = model.spread
         information = np.asarray(np.linalg.inv(self.cov + model.covariance()), float)
         self._add_step(_signals(terms, model), error, information, not suspected)
         self._weigh_hypotheses(model)
@@ -187,8 +185,7 @@ class ResponseRegression:
         for i, explained in enumerate(self.explained.tolist()):
             if i != first and explained > second:
                 second = explained
-                alike = LEAST_LEAD_SHARE * best if first < COMMANDS and i < COMMANDS else 0.0
-                if best - second < max(LEAST_LEAD * max(LEAST_NOISE, left), alike):
+                if best - second < LEAST_LEAD * left:
                     other = i
         self.hypotheses = first, other
         if PITOT in self.hypotheses:

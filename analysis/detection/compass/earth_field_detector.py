@@ -127,7 +127,7 @@ def _move(t_us: int, lat_deg: float, lon_deg: float, state: EarthFieldState) -> 
 
 
 def _test_window(t_us: int, state: EarthFieldState) -> SensorDecision | None:
-    """Test a full window."""
+    """Compare the mean field of a full window with the Earth's."""
     window = state.window
     if window.fields < LEAST_SAMPLES or math.isnan(state.size_gauss):
         return None

@@ -34,7 +34,7 @@ from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_attitude, rotation_matrix
 
-LONGEST_ALIGNMENT_S = 20.0  # then it restarts: the integral of the gyro bias grows with time
+LONGEST_ALIGNMENT_S = 20.0  # then it restarts: GYRO_BIAS_SIGMA_RPS turns it by 0.4 rad
 SHORTEST_ALIGNMENT_S = 2.0  # a shorter one would rest on the noise of a few velocities
 SLOWEST_SAMPLING_S = 0.07  # mean interval of an IMU that may propagate the filter: 14 Hz
 HEADING_BY_MOTION_RAD = 0.12  # one sigma at which the attitude counts as found: 7 degrees

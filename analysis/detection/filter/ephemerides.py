@@ -3,6 +3,7 @@
 References
 ----------
 .. [1] IS-GPS-200N, 20.3.4.4; Galileo OS SDD 1.3, 2.4.2; BDS-SIS-ICD-B1I 3.0, 5.2.4.9.
+.. [2] GPS SPS Performance Standard, 5th edition, 2020: 4.42 times the upper bound of the URA.
 """
 
 import math
@@ -15,25 +16,29 @@ from numpy.typing import NDArray
 
 from analysis.detection.values import Value
 from analysis.orbits.broadcast import (
+    CLOCK,
     CLOCK_OF,
     PACKED,
     SYSTEMS,
     WEEK_S,
     pack_ephemeris,
     packed_for_carrier,
+    satellite_states,
 )
-from analysis.samples.sample import Epoch, StateVector, Vector
+from analysis.samples.sample import Epoch, Orbit, PreciseOrbit, Vector
 from mavproxy_fault.numerics.constants import L1_HZ
-from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 Indices = NDArray[np.int64]
-StoredOrbit = tuple[Ephemeris | StateVector, Vector]  # an ephemeris and its packed numbers
+StoredOrbit = tuple[Orbit, Vector]  # an ephemeris and its packed numbers
 StoredOrbits = dict[str, tuple[StoredOrbit, ...]]  # by satellite, in the order of their times
 RESELECT_S = 60.0  # a selection holds for one such part of the week
-MOST_EPHEMERIDES = 512  # per satellite: three days of Galileo ephemerides
+MOST_EPHEMERIDES = 2400  # per satellite: a week of precise orbits (2016), and of Galileo's own
 # Galileo and BeiDou transmit an ephemeris from its time on, GPS and QZSS around it [1]_. An hour
 # early it is off by 0.9 and 0.2 m (benchmarks/fdi.md): a file need not begin with the newest one.
 EARLY_S = {"E": 3600.0, "C": 7200.0}  # BeiDou: 1.2 m two hours early, which is in the variance
+TOLERATED_M = 4.42 * 2.4  # of a broadcast signal in space [2]_
+SEEN_ACROSS = 0.24  # of a tangential error at most: the Earth is seen within 14 degrees
+LEAST_COMPARED = 5  # satellites of a system: the median of fewer may be that of wrong ones
 EARLY_COST = 2.0  # of the age before its time: errors grow four times as fast as after it
 
 
@@ -42,7 +47,9 @@ class EphemerisSelection:
     """The ephemerides of a set of satellites in one part of a week: indices of the satellites that
     have one (None: all have), their packed rows (n, 25), and the ephemerides `used`.
 
-    `unused` says of the others, of the systems in use, why they have none.
+    `unused` says of the others, of the systems in use, why they have none. `differences_m` are
+    those of broadcast from precise orbits in range, `contradicted` the ephemerides that are wrong
+    by these.
     """
 
     satellites: tuple[str, ...]
@@ -52,8 +59,10 @@ class EphemerisSelection:
     names: tuple[str, ...]
     packed: Vector
     system: Indices
-    used: tuple[Ephemeris | StateVector, ...]
+    used: tuple[Orbit, ...]
     unused: dict[str, str]
+    differences_m: dict[str, float]
+    contradicted: frozenset[Orbit]
 
     def is_valid_for(self, epoch: Epoch) -> bool:
         """Whether the selection still holds for an epoch."""
@@ -71,9 +80,9 @@ class BroadcastData(Value, frozen=True):
     ephemerides: StoredOrbits
     ionosphere: Vector
     selection: EphemerisSelection | None = None
-    wrong: frozenset[Ephemeris | StateVector] = frozenset()
+    wrong: frozenset[Orbit] = frozenset()
 
-    def add_ephemeris(self, ephemeris: Ephemeris | StateVector) -> "BroadcastData":
+    def add_ephemeris(self, ephemeris: Orbit) -> "BroadcastData":
         """The data with one more ephemeris, which replaces a known ephemeris of the same time."""
         stored = self.ephemerides.get(ephemeris.satellite, ())
         at = bisect_left(stored, _time_of(ephemeris), key=lambda known: _time_of(known[0]))
@@ -89,15 +98,15 @@ class BroadcastData(Value, frozen=True):
         )
 
 
-def _time_of(ephemeris: Ephemeris | StateVector) -> tuple[int, float]:
-    return ephemeris.week, ephemeris.toe_s
+def _time_of(ephemeris: Orbit) -> tuple[int, float, bool]:
+    return ephemeris.week, ephemeris.toe_s, isinstance(ephemeris, PreciseOrbit)
 
 
 def select_ephemerides(
     epoch: Epoch,
     ephemerides: StoredOrbits,
     systems: str = SYSTEMS,
-    wrong: Collection[Ephemeris | StateVector] = (),
+    wrong: Collection[Orbit] = (),
 ) -> EphemerisSelection:
     """Select the healthy ephemeris nearest in time for each satellite of an epoch that has one.
 
@@ -119,6 +128,7 @@ def select_ephemerides(
         carrier_hz = L1_HZ if epoch.carrier_hz is None else epoch.carrier_hz.item(i)
         rows.append(packed if carrier_hz == L1_HZ else packed_for_carrier(packed, carrier_hz))
     names = tuple(epoch.satellites[i] for i in keep)
+    differences_m, contradicted = _compare_with_precise(used, rows, epoch, ephemerides, wrong)
     return EphemerisSelection(
         epoch.satellites,
         epoch.week,
@@ -129,7 +139,44 @@ def select_ephemerides(
         np.array([CLOCK_OF[name[0]] for name in names], dtype=np.int64),
         tuple(used),
         unused,
+        differences_m,
+        contradicted,
     )
+
+
+def _compare_with_precise(
+    used: Sequence[Orbit],
+    rows: Sequence[Vector],
+    epoch: Epoch,
+    ephemerides: StoredOrbits,
+    wrong: Collection[Orbit],
+) -> tuple[dict[str, float], frozenset[Orbit]]:
+    """How far the broadcast ephemeris of each satellite with a precise orbit would be off in range,
+    and the ephemerides that are further off than their standard tolerates."""
+    pairs = []
+    for precise, row in zip(used, rows, strict=True):
+        if isinstance(precise, PreciseOrbit):
+            stored = ephemerides[precise.satellite]
+            known = [e for e in stored if not isinstance(e[0], PreciseOrbit) and e[0] not in wrong]
+            nearest = _nearest(known, epoch.week, epoch.tow_s)
+            pairs += [(row, *nearest)] if nearest is not None else []
+    if not pairs:
+        return {}, frozenset()
+    table = np.array([(row, packed) for row, _, packed in pairs]).reshape(-1, PACKED)
+    states = satellite_states(table, float(epoch.week), epoch.tow_s, np.zeros(len(table)))
+    places, moved = states[::2, :3], (states[1::2] - states[::2])
+    up = places / np.linalg.norm(places, axis=1)[:, None]
+    radial = (moved[:, :3] * up).sum(axis=1)
+    across = SEEN_ACROSS * np.linalg.norm(moved[:, :3] - radial[:, None] * up, axis=1)
+    off_m, system = radial - moved[:, CLOCK], np.array([e.satellite[0] for _, e, _ in pairs])
+    for letter in set(system.tolist()):  # each system's clocks have a time scale of their own
+        own = system == letter
+        off_m[own] -= np.median(off_m[own]) if own.sum() >= LEAST_COMPARED else np.nan
+    off_m += np.copysign(across, off_m)
+    compared = zip((e for _, e, _ in pairs), off_m.round(2).tolist(), strict=True)
+    found = [(e, metres) for e, metres in compared if math.isfinite(metres)]
+    contradicted = frozenset(e for e, metres in found if abs(metres) > TOLERATED_M)
+    return {e.satellite: metres for e, metres in found}, contradicted
 
 
 def _nearest(stored: Sequence[StoredOrbit], week: int, tow_s: float) -> StoredOrbit | None:
@@ -140,8 +187,10 @@ def _nearest(stored: Sequence[StoredOrbit], week: int, tow_s: float) -> StoredOr
         age_s = (week - ephemeris.week) * WEEK_S + tow_s - ephemeris.toe_s
         system = ephemeris.satellite[0]
         early_s = EARLY_S.get(system, ephemeris.fit_half_s)
-        is_valid = -early_s <= age_s <= ephemeris.fit_half_s and ephemeris.health == 0
         cost_s = max(age_s, -age_s * (EARLY_COST if system in EARLY_S else 1.0))
+        if isinstance(ephemeris, PreciseOrbit):  # before every broadcast one
+            early_s, cost_s = ephemeris.fit_half_s, abs(age_s) - WEEK_S
+        is_valid = -early_s <= age_s <= ephemeris.fit_half_s and ephemeris.health == 0
         if is_valid and cost_s < least_s:
             best, least_s = known, cost_s
     return best

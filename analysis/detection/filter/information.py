@@ -141,7 +141,7 @@ def _cofactor(normal: NormalEquations) -> Vector:
 
 @compiled
 def posterior_statistic(normal: NormalEquations, fit: Vector) -> float:
-    """q of measurements with F (c, c)."""
+    """The chi-square statistic of measurements, given their F (c, c) of `posterior_block`."""
     q = normal.total
     for i in range(fit.shape[0]):
         for j in range(fit.shape[0]):

@@ -8,12 +8,7 @@ then decides, at this epoch and the following ones.
 from typing import NamedTuple
 
 from analysis.detection.filter.information import NormalEquations, covariance_block
-from analysis.detection.receiver.carry_off_windows import (
-    FIRST_WEIGHT,
-    LEAST_LEVEL,
-    MOST_SQUARE,
-    SETTLED_US,
-)
+from analysis.detection.receiver.carry_off_windows import FIRST_WEIGHT
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
@@ -28,13 +23,12 @@ class CommonShift(NamedTuple):
     """The usual level of the common velocity shift, and whether a shift is suspected.
 
     `level` is the mean square per degree of freedom over `weight` epochs that passed their tests.
-    All satellites are suspected until `suspected_until_us`, and not before `settled_from_us`.
+    All satellites are suspected until `suspected_until_us`.
     """
 
     level: float = 1.0
     weight: float = FIRST_WEIGHT
     suspected_until_us: int = 0
-    settled_from_us: int = 0
 
 
 def shift_statistic(p: Vector, rates: NormalEquations) -> float:
@@ -45,34 +39,26 @@ def shift_statistic(p: Vector, rates: NormalEquations) -> float:
     return float(off @ invert_positive_definite(total) @ off)
 
 
-def shift_stands_out(
-    known: CommonShift, statistic: float, t_us: int, config: FalseAlarmRates
-) -> bool:
+def shift_stands_out(known: CommonShift, statistic: float, config: FalseAlarmRates) -> bool:
     """Whether the statistic of an epoch exceeds this flight's noise."""
-    limit = max(known.level, LEAST_LEVEL) * chi_square_threshold(SHIFT_DOF, config.p_other)
-    return t_us >= known.settled_from_us and statistic > limit
+    return statistic > known.level * chi_square_threshold(SHIFT_DOF, config.p_other)
 
 
 def shift_is_suspected(
     known: CommonShift, statistic: float, t_us: int, config: FalseAlarmRates
 ) -> bool:
     """Whether all satellites are suspected, by the statistic of this epoch or of an earlier one."""
-    return t_us < known.suspected_until_us or shift_stands_out(known, statistic, t_us, config)
+    return t_us < known.suspected_until_us or shift_stands_out(known, statistic, config)
 
 
 def update_common_shift(
     known: CommonShift, statistic: float, t_us: int, config: FalseAlarmRates
 ) -> CommonShift:
     """The level and suspicion after an epoch whose tests passed."""
-    if shift_stands_out(known, statistic, t_us, config):
+    if shift_stands_out(known, statistic, config):
         return known._replace(suspected_until_us=t_us + SUSPECTED_US)
     if t_us < known.suspected_until_us:
         return known  # a suspected shift must not raise the level that it is compared with
     weight = min(known.weight + 1.0, MOST_WEIGHT)
-    square = min(statistic / SHIFT_DOF, MOST_SQUARE)
-    return known._replace(level=known.level + (square - known.level) / weight, weight=weight)
-
-
-def reset_common_shift(known: CommonShift, t_us: int) -> CommonShift:
-    """The level and suspicion after an epoch that failed a test or had no IMU prediction."""
-    return known._replace(suspected_until_us=0, settled_from_us=t_us + SETTLED_US)
+    step = (statistic / SHIFT_DOF - known.level) / weight
+    return known._replace(level=known.level + step, weight=weight)

@@ -14,7 +14,9 @@ from analysis.detection.statistics.chi_square import two_sided_bound
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
 
-RETURNED_SHARE = 0.75  # of a system's satellites that look healthy once it is: some are noisy
+# Of a system's satellites that look healthy once it is: some are noisy, and a few look healthy
+# while a spoofer moves it (benchmarks/gnss_spoofs.py).
+RETURNED_SHARE = 0.75
 # A range error that is the same for so long, and this small, is multipath of a healthy satellite;
 # it is estimated. Larger ones are faults. So nothing healthy is excluded for a minute.
 STANDING_US, STANDING_SIGMAS = 45_000_000, 6.0

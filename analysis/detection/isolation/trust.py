@@ -8,6 +8,7 @@ from analysis.samples.sample import Vector
 NO_EXCLUSIONS: Exclusions = {}
 NO_RATE_FAULTS: dict[str, int] = {}
 LEAST_START_DOF = 2  # with one degree of freedom a start detects a fault, but isolates none
+TRUSTED_DOF = 3  # with fewer the rest is not tested after one satellite is left out
 CONFIRMING_EPOCHS = 10  # at 1 Hz the satellites move 39 km meanwhile: another geometry
 
 

@@ -14,7 +14,6 @@ from analysis.detection.receiver.carry_off_windows import (
     renew_oldest_window,
     search_windows,
 )
-from analysis.detection.receiver.fix_latency import Latency, mean_acceleration
 from analysis.detection.receiver.position_test import (
     VELOCITY_SIGMA_MPS,
     FixMeasurement,
@@ -27,8 +26,9 @@ from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
 
-STEADY_MPS2 = 1.0  # a latency of 0.15 s is then an error of 0.15 m/s
-IMPACT_MPS2 = 5.0  # from fix to fix: half of gravity, as by a tilt of 0.5 rad; impacts are above
+# From fix to fix: half of gravity, as by a tilt of 0.5 rad. A harder impact that the IMU overstates
+# would be a carry-off.
+IMPACT_MPS2 = 5.0
 Tests = tuple[FixTest, FixTest | None]  # of a fix's position, and of its velocity if known
 
 
@@ -58,9 +58,7 @@ def detect_carry_off(
     dt_s = (motion.t_us - before.t_us) * 1e-6
     fix = fix_innovation(measurement, position, velocity, motion.p)
     windows = extend_windows(windows, motion.t_us, dt_s, phi, measurement.axes, fix)
-    smooths = _receiver_smooths(receiver.latency, before, motion, measurement)
-    shaken = receiver.scatter.shaken_us == motion.t_us
-    if shaken or _shows_impact(receiver.last_fix, segment) or smooths:
+    if receiver.scatter.shaken_us == motion.t_us or _shows_impact(receiver.last_fix, segment):
         windows = windows._replace(doubt_us=motion.t_us, impact_us=motion.t_us)
     found = wrong_mps2 = None
     # Touching down stops a receiver, by a force that an IMU is often too slow to show.
@@ -85,15 +83,6 @@ def _shows_impact(last: LastFix | None, segment: ImuSegment) -> bool:
     if last is None or force is None or not last.forces_b_mps2:
         return False
     return float(np.linalg.norm(force - last.forces_b_mps2[0])) > IMPACT_MPS2
-
-
-def _receiver_smooths(
-    latency: Latency, before: MotionEstimate, motion: MotionEstimate, measurement: FixMeasurement
-) -> bool:
-    """Whether the acceleration is so high that a sound receiver, with its delayed and smoothed
-    velocity, disagrees with the IMU."""
-    acceleration = mean_acceleration(before, motion, measurement.axes)
-    return latency.variance > 0.0 and float(np.linalg.norm(acceleration)) > STEADY_MPS2
 
 
 def estimate_carry_off(

@@ -19,8 +19,8 @@ WINDOW_COUNT = 20  # 4 s of fixes at 5 Hz
 STRIDE_US = 180_000  # between windows: less than the interval of fixes at 5 Hz
 # A window's responses, along or about north, east and down, and how many
 CARRIED, ACCELERATED, TURNED, RESPONSES = slice(0, 3), slice(3, 6), slice(6, 9), 9
-# Slow errors of a healthy receiver's velocity, four times the 0.05 m/s (50 %) of u-blox's M8 and M9
-# data sheets, and of a healthy IMU: the zero-g offset of an ICM-42688-P, 20 mg.
+# Slow errors of a healthy receiver's velocity, four times 0.05 m/s (50 % at 30 m/s: u-blox ZED-F9P
+# data sheet, table 1), and of a healthy IMU: 20 mg (ICM-42688-P data sheet, table 2, zero g).
 NATURAL_MPS, NATURAL_MPS2 = 0.2, 0.2
 LEAST_RATIO_LEAD = 10.0  # of twice the log likelihood, else it is ambiguous: exp(10 / 2), 150 to 1
 SETTLED_US = 10_000_000  # after a failed test or impact, whose after-effects look alike

@@ -14,7 +14,7 @@ from analysis.samples.sample import Vector
 
 USUAL_S, SIGMA_S = 0.15, 0.15  # prior of a real receiver, for the 0.1 to 0.5 s above
 LEAST_S, MOST_S = 0.0, 0.6  # the 0.1 to 0.5 s above, and 0.1 s for the link
-LEAST_VARIANCE = 0.05**2  # for the test: the acceleration changes meanwhile
+LEAST_VARIANCE = 0.05**2  # for the test: without it a vibrating ArduCopter's IMU is isolated
 # A smaller variance for learning, so that errors that last for seconds do not move the mean.
 LEAST_LEARNED_VARIANCE = 0.01**2
 EXACT_SOURCE = "HIL_GPS"

@@ -12,8 +12,7 @@ from analysis.detection.filter.propagation import ImuSegment
 from analysis.samples.sample import Vector
 
 CHANNELS = slice(1, 7)  # columns of rates and specific force, after the time
-# Samples of a mean square, and intervals until the level is known to a third; 12 s at 5 Hz.
-LEAST_SAMPLES, LEARNED_FIXES, MEMORY_FIXES = 4, 10, 60
+LEAST_SAMPLES, MEMORY_FIXES = 4, 60  # samples of a mean square; memory of the level, 12 s at 5 Hz
 # Of a mean square, logarithmic: 50 times the usual noise. The turns of a wing reach 27 at 100 Hz,
 # spikes and touchdowns 88 or more.
 LARGEST_GAIN = np.log(2500.0)
@@ -38,7 +37,7 @@ def update_scatter(known: ImuScatter, segment: ImuSegment, t_us: int) -> ImuScat
     if not np.isfinite(now).all():
         return known._replace(shaken_us=t_us)
     gain, count = now - known.level, min(known.intervals + 1, MEMORY_FIXES)
-    shaken = known.intervals >= LEARNED_FIXES and gain.max() > LARGEST_GAIN
+    shaken = known.intervals > 0 and gain.max() > LARGEST_GAIN
     step = np.minimum(gain, LARGEST_GAIN) / count
     level = now if known.intervals == 0 else known.level + step
     return ImuScatter(level, count, t_us if shaken else known.shaken_us)

@@ -29,7 +29,7 @@ from mavproxy_fault.numerics.earth_kernel import ned_axes
 
 POSITION_SIGMA_M = (1.0, 1.5)  # horizontal, vertical: floor of what a receiver reports
 UNKNOWN_SIGMA_M = 3.0  # where the receiver reports none
-# Horizontal, vertical. Data sheets say 0.05 m/s (50 %: u-blox M8, M9), but in steady motion: a
+# Horizontal, vertical. Data sheets say 0.05 m/s (as `NATURAL_MPS`), but in steady motion: a
 # velocity that is smoothed over 0.1 s errs by 0.3 m/s at 3 m/s^2.
 VELOCITY_SIGMA_MPS = (0.3, 0.4)
 VELOCITY_VARIANCE = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS]) ** 2

@@ -23,7 +23,8 @@ SEA_LEVEL_PA = 101_325.0  # ICAO standard atmosphere, Doc 7488
 ISA_KELVIN, ISA_LAPSE, ISA_EXPONENT = 288.15, 6.5e-3, 5.25588  # the same: K, K/m, g M / (R L)
 LEAST_UPRIGHT = 0.7  # cosine of 45 degrees: a beam that is tilted more may miss the terrain below
 UNKNOWN_SLANT = 0.1  # of the distance: the error of an unknown tilt of up to 25 degrees, 1 - cos
-SLOW_AIR_MPS = 6.0  # below it 1 % of a 1 psi sensor's range (MS4525DO) is more than its 22 Pa
+# Below it a 1 psi sensor errs by three times the 22 Pa (69 Pa, 4525DO data sheet: total error 1 %).
+SLOW_AIR_MPS = 6.0
 WIND_MPS = 6.0  # one sigma of the unknown wind: 12 m/s (6 Beaufort) in one of twenty flights
 
 
@@ -207,10 +208,10 @@ def _gps_velocity(
 # One sigma of small autopilots' sensors as mounted, and the walk of the slow states. No row of
 # benchmarks/preset_table.py isolates a healthy sensor.
 # mag: currents and iron, 6 % of 0.5 gauss; less if it proves to be better mounted.
-# baro: relative accuracy of a BMP388, 8 Pa or 0.7 m, and wind at its port; weather, 3 m in an hour.
-# airspeed: 0.25 % of a 1 psi sensor (MS4525DO), 17 Pa or 0.9 m/s at 15 m/s.
-# gps-position: 2.0 m within 50 % (u-blox NEO-M9N) is 1.7 m, most of which is the slow offset.
-# gps-velocity: 0.05 m/s (the same) in steady motion; up to 0.1 s late at 3 m/s^2.
+# baro: 8 Pa or 0.66 m (BMP388 data sheet, table 2) and wind at its port; weather, 3 m in an hour.
+# airspeed: 20 Pa (drift of an MPXV5004DP by Beard and McLain, appendix H), 1.1 m/s at 15 m/s.
+# gps-position: 2.0 m within 50 % (u-blox NEO-M9N, UBX-19014285) is 1.7 m, most of it a slow offset.
+# gps-velocity: 0.05 m/s in steady motion (as `NATURAL_MPS`); up to 0.1 s late at 3 m/s^2.
 MODELS = {
     "mag": SensorModel(_mag, 0.03, 0.01, 2e-4),  # gauss
     "baro": SensorModel(_baro, 1.0, 1.0, 0.05),  # m

@@ -15,7 +15,7 @@ from analysis.results import Result, pattern_alarm
 
 MOST_MPS = 20.0  # 67 ns/s; see the recordings above
 OVER_US, LONGEST_US = 900_000, 2_000_000  # one second, of epochs at 1 Hz or faster; two of them
-SIGMAS = 5.0  # of the change: p 6e-7
+SIGMAS = 5.0  # of the change, p 6e-7: a start without Doppler learns its drift within seconds
 
 
 def clock_results(motion: MotionEstimate, history: Sequence[EpochRecord]) -> list[Result]:

@@ -23,7 +23,6 @@ from analysis.detection.isolation.all_satellites import (
 )
 from analysis.detection.isolation.common_shift import (
     CommonShift,
-    reset_common_shift,
     update_common_shift,
 )
 from analysis.detection.isolation.constellations import SYSTEMS_CONTRADICT
@@ -192,7 +191,7 @@ def _update_common_shift(
     """The usual level of the velocity shift that all rates share, after the epoch."""
     known, t_us = assessment.memory.common_shift, assessment.prediction.motion.t_us
     if not verdict.has_passed(assessment, config.doppler):
-        return reset_common_shift(known, t_us)
+        return known._replace(suspected_until_us=0)  # a test failed, or there is no IMU
     return update_common_shift(known, verdict.shift, t_us, config)
 
 

@@ -2,17 +2,21 @@
 
 An isolated satellite whose ephemerides contradict each other is tested once more with the next best
 of them. If its range fits then, the ephemeris is not used again, and the satellite is not excluded.
+Where precise orbits are known, every broadcast ephemeris is compared with these.
 """
 
 import numpy as np
+from msgspec.structs import replace
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore, EpochRecord
+from analysis.detection.filter.ephemerides import EphemerisSelection
 from analysis.detection.filter.measurement import EpochObservation, predict_innovations
 from analysis.detection.stages.epoch_outcome import EpochOutcome
 from analysis.detection.stages.epoch_stages import run_stages
 from analysis.detection.stages.observe import observe
-from analysis.samples.sample import Epoch
+from analysis.results import Decision
+from analysis.samples.sample import Epoch, Orbit
 
 CONTRADICTING_SIGMAS = 3.0  # of a range: two ephemerides that differ by less explain no fault
 EXPLAINED = ("none", "satellites")
@@ -54,15 +58,26 @@ def try_other_ephemerides(
     explained = other.tested is not None and other.tested.verdict.ranges.hypothesis in EXPLAINED
     if not cleared or not explained:
         return record, outcome, ""
-    toes = {name: round(wrong[name].toe_s / 60.0) for name in cleared}
-    return (
-        again,
-        other,
-        "; ".join(
-            f"ephemeris of {name} of {toe // 60 % 24:02d}:{toe % 60:02d} is wrong: another fits"
-            for name, toe in toes.items()
-        ),
+    texts = (f"{_named(wrong[name])} is wrong: another fits" for name in cleared)
+    return again, other, "; ".join(texts)
+
+
+def _named(ephemeris: Orbit) -> str:
+    toe = round(ephemeris.toe_s / 60.0)
+    return f"ephemeris of {ephemeris.satellite} of {toe // 60 % 24:02d}:{toe % 60:02d}"
+
+
+def with_orbits_compared(decision: Decision, selection: EphemerisSelection) -> Decision:
+    """The decision with what a new selection found of broadcast ephemerides by precise orbits."""
+    off_m = selection.differences_m
+    decision = replace(decision, orbit_difference_m=off_m)
+    if not selection.contradicted:
+        return decision
+    texts = (
+        f"{_named(e)} is wrong: {abs(off_m[e.satellite]):.0f} m from its precise orbit and clock"
+        for e in sorted(selection.contradicted, key=lambda e: e.satellite)
     )
+    return replace(decision, alarm=True, hypothesis="ephemeris", reason="; ".join(texts))
 
 
 def _isolated(outcome: EpochOutcome) -> set[str]:

@@ -170,7 +170,7 @@ def find_slow_carry_off(
     """A carry-off by all satellites while every test passed, if it is significant; `level` is the
     mean square of this flight's innovations."""
     tests = _repeat_tests(history, assessment, config)
-    if tests is None or tests.explained_by_force:
+    if tests is None:
         return None
     threshold = chi_square_threshold(3, config.p_slow)
     t_us = assessment.prediction.motion.t_us

@@ -29,6 +29,7 @@ from analysis.detection.isolation.constellations import (
     group_by_system,
 )
 from analysis.detection.isolation.hypotheses import explain_by_satellites
+from analysis.detection.isolation.trust import TRUSTED_DOF
 from analysis.detection.protection_levels import PositionBounds, bound_position
 from analysis.detection.receiver.carry_off_windows import LEAST_RATIO_LEAD
 from analysis.detection.statistics.bank import projected_weights
@@ -41,7 +42,6 @@ CONVERGED_M = 1e-3  # a thousandth of a range's noise
 NEAR_EARTH_M = 1.0e6  # below this radius elevations and weights are meaningless
 ISB_SIGMA_M = 300.0  # one microsecond: a system's first ranges alone determine its offset
 UNKNOWN_DRIFT_SIGMA_MPS = 300.0  # 1 ppm: an ordinary crystal
-TRUSTED_START_DOF = 3  # with fewer the rest is not tested after one satellite is left out
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ def check_against_prior(
     The uncertainty of that filter grows with the gap, so an old position contradicts nothing.
     """
     motion = start.motion
-    if motion is None or start.dof >= TRUSTED_START_DOF:
+    if motion is None or start.dof >= TRUSTED_DOF:
         return start
     gap_s = (motion.t_us - before.t_us) * 1e-6
     x, p, _ = propagate_freely(before.x, before.p, gap_s, config.noise)
@@ -119,7 +119,7 @@ def check_against_prior(
     return InitialFix(
         None,
         f"a start {np.linalg.norm(shift_m):.0f} m from where the filter was {gap_s:.0f} s ago, with"
-        f" {start.dof} degrees of freedom; {TRUSTED_START_DOF} are needed to accept it",
+        f" {start.dof} degrees of freedom; {TRUSTED_DOF} are needed to accept it",
     )
 
 
@@ -140,7 +140,7 @@ def _faulty_satellites(
         if any(whole.cost - found.cost < LEAST_RATIO_LEAD for whole in wholes):
             return (), SYSTEMS_CONTRADICT
         # Three wrong of eight look like two others: the rest must test each other.
-        if len(u) - len(found.subset) - unknowns < TRUSTED_START_DOF:
+        if len(u) - len(found.subset) - unknowns < TRUSTED_DOF:
             few = "satellites contradict the others, which are too few"
             return (), f"{len(found.subset)} of {len(u)} {few}"
     return found.subset, ""

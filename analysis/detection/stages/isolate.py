@@ -126,7 +126,7 @@ def _isolate_by_epoch(
     rates = rates_beyond_imu(rates, trust, prediction.before, motion, innovations, runs)
     offset_m = learned_offsets_m(assessment.memory.ramps, assessment.satellites)
     ranges = run_range_test(motion, innovations, statistics, rates.hypothesis, offset_m, config)
-    ranges = ranges_beyond_imu(ranges, rates, trust, motion, innovations)
+    ranges = ranges_beyond_imu(ranges, rates, motion)
     found = SourceVerdict(rates, ranges)
     if prediction.is_inertial:
         found = isolate_source(assessment, trust.carry_off, history, rates, ranges, config)

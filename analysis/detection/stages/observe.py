@@ -15,5 +15,6 @@ def observe(
     selection = broadcast.selection
     if selection is None or not selection.is_valid_for(epoch):
         selection = select_ephemerides(epoch, broadcast.ephemerides, systems, broadcast.wrong)
-        broadcast = broadcast._replace(selection=selection)
+        wrong = broadcast.wrong.union(selection.contradicted)
+        broadcast = broadcast._replace(selection=selection, wrong=wrong)
     return observe_epoch(epoch, selection), broadcast

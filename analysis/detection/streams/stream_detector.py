@@ -19,7 +19,6 @@ from analysis.detection.streams.stream_times import (
     INTERVALS,
     LEARNED_SAMPLES,
     LEARNED_VALUES,
-    RHYTHM_SAMPLES,
     SHARE,
     SILENT_US,
     Clock,
@@ -135,7 +134,7 @@ class StreamStates:
         """Time did not jump: report the streams that did, if they are known to use this clock."""
         now_us = clock.newest_us
         for stream in self.streams:
-            if stream in clock.jumped and stream.clock is clock and stream.count >= RHYTHM_SAMPLES:
+            if stream in clock.jumped and stream.clock is clock and stream.count >= LEARNED_SAMPLES:
                 # Raw ranges have another message's timestamp.
                 if stream.name != "satellites" and stream.may_report(now_us):
                     amount_s = (clock.to_us - clock.from_us) * 1e-6
@@ -208,7 +207,7 @@ class StreamStates:
 def _jumps_ahead(stream: SampleStream | None, clock: Clock, t_us: int) -> bool:
     """Whether a sample is further ahead than its stream alone can move the time."""
     ahead_us = t_us - clock.newest_us
-    if stream is None or stream.count < RHYTHM_SAMPLES:
+    if stream is None or stream.count < LEARNED_SAMPLES:
         # After a jump of others, a stream without a rhythm can only confirm it.
         return ahead_us > (SILENT_US if clock.to_us == NEVER_US else TIME_JUMP_US)
     # A slow stream may advance the time by itself.

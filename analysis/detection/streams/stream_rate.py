@@ -15,8 +15,7 @@ KNOWN_MEMORIES = 4.0  # short memories until a rate is known: 2 % of the beginni
 LEAST_MISSING, DEVIATION_FACTOR = 0.3, 4.0
 SINKING_SHARE = LEAST_MISSING / 2.0  # largest missing share of a regular stream
 CONFIRM_S = 1.0  # of a sparse stream, until it is reported
-# least size of a burst, and in usual bursts; the 182 logs of docs/watches.md have none
-BURST, BURST_FACTOR = 5, 2
+BURST = 5  # least size; the 182 logs of docs/watches.md have none
 
 
 @dataclass(slots=True)
@@ -29,8 +28,7 @@ class StreamRate:
     short_seconds: float = 0.0
     deviation: float = 0.0
     sparse_s: float = 0.0  # for how long it has been sparse
-    burst: int = 0  # samples of the newest burst, and of the usual one
-    usual_burst: int = 0
+    burst: int = 0  # samples of the newest one
 
     def is_known(self, interval_s: float) -> bool:
         """Whether the stream has been received long enough to know its rate."""
@@ -64,11 +62,5 @@ class StreamRate:
     def burst_size(self, time_stands: bool, known: bool) -> int:
         """The number of samples that came at once if that is a burst, else 0; a sample comes at
         once with the one before if no stream's time advanced in between."""
-        limit = max(BURST, BURST_FACTOR * self.usual_burst)
-        if not time_stands:
-            if not known or self.burst < limit:
-                self.usual_burst = max(self.usual_burst, self.burst)
-            self.burst = 1
-            return 0
-        self.burst += 1
-        return self.burst if known and self.burst >= limit else 0
+        self.burst = self.burst + 1 if time_stands else 1
+        return self.burst if known and self.burst >= BURST else 0

@@ -21,11 +21,11 @@ FIX_NUMBERS = 5  # of a fix: position and level velocity
 # Weight of an interval in the usual one; samples after which that is known, and what values do.
 SHARE, LEARNED_SAMPLES, LEARNED_VALUES = 0.05, 20, 200
 SILENT_US = 500_000  # shortest silence: two samples at 5 Hz are missing
-RHYTHM_SAMPLES = 5  # samples after which a stream's interval is roughly known
 INTERVALS = 5.0  # least silence in usual intervals: p 1e-5 on a link that loses a tenth
 LATE_US = 300_000  # later than usual: a GPS fix under load, a radio's frame, may be 0.2 s late
 FROZEN_STAMPS = 5  # equal stamps in a row: as many as INTERVALS
-STILL_SAMPLES = 20  # a value that has legitimately repeated for 20 samples is exempt from the test
+# A value that has repeated for longer is exempt: the IMU of a noise-free simulator at rest.
+STILL_SAMPLES = 20
 
 
 def accepts_source(known: float, source: float) -> bool:

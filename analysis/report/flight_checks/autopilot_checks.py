@@ -49,7 +49,8 @@ def _flags(recording: FlightData, armed: Windows | None) -> FlightCheck:
 
 def _reaches(span: Span, armed: Windows | None) -> bool:
     """Whether a condition begins while armed, or lasts into it: its end is seen late."""
-    return is_within(span.start_s, armed) or is_within(span.end_s - CLEARED_S, armed)
+    last_s = max(span.start_s, span.end_s - CLEARED_S)
+    return armed is None or any(span.start_s <= end and last_s >= start for start, end in armed)
 
 
 def _starts(recording: FlightData, span: Span) -> bool:

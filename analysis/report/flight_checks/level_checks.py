@@ -126,9 +126,9 @@ def _judge(
     return restrict_to_classes(found, recording.vehicle, line.classes)
 
 
-def _named(panel: str, name: str) -> Curves:
+def _named(panel: str, names: str | tuple[str, ...]) -> Curves:
     """The curves of a panel with names that begin so."""
-    return lambda recording, *_: [s for s in recording.of(panel) if s.name.startswith(name)]
+    return lambda recording, *_: [s for s in recording.of(panel) if s.name.startswith(names)]
 
 
 def _averaged(panel: str) -> Curves:
@@ -243,8 +243,10 @@ LEVELS = (
                on_bench=True),
     LevelCheck("GPS satellites", "gps-satellites", "gps_satellites", below=True,
                classes=ON_LAND_OR_AIR, curves=_satellites, on_bench=True),
+    # The vertical one is larger by nature, and no autopilot limits it.
     LevelCheck("GPS dilution of precision", "gps-dilution", "gps_dilution",
-               classes=ON_LAND_OR_AIR, on_bench=True),
+               classes=ON_LAND_OR_AIR, curves=_named("gps-dilution", ("hdop", "eph")),
+               on_bench=True),
     LevelCheck("GPS jumps", "gps-jump", "gps_step_m", "m", 0.0, classes=ON_LAND_OR_AIR,
                on_bench=True),
     LevelCheck("GPS jamming indicator", "gps-noise", "gps_jamming", phase=LOG,

@@ -49,7 +49,7 @@ def judge_requirements(
         return []
     signals = collect_signals(recording, labels, results, ground_m, subject)
     if signals is None:
-        reason = "the flight has neither a truth nor a height"
+        reason = "the recording holds neither the true state nor an altitude"
         return [
             RequirementResult(name=one.label, formula=one.formula, met=None,
                               reason=reason) for one in requirements

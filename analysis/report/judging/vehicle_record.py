@@ -1,4 +1,4 @@
-"""Take what a log of any format says of the vehicle, for its outcome."""
+"""Collect what a log of any format says about the vehicle, to judge the flight's outcome."""
 
 import numpy as np
 
@@ -47,10 +47,8 @@ def vehicle_record(recording: FlightData) -> VehicleRecord:
     modes = [span for span in recording.spans if span.lane == "mode"]
     commands = [event for event in recording.events if event.kind == "command"]
     error = recording.curve("position-error", "estimate")
-    # Others rise and sink without taking off and landing.
-    flies = recording.vehicle in ("", *FLYERS)
     return VehicleRecord(
-        vehicle_motion(recording) if flies else _attitude_alone(recording),
+        vehicle_motion(recording),
         armed_windows(recording),
         [TimedText(span.start_s, span.text) for span in modes],
         [TimedText(event.t_s, event.text) for event in commands] or None,
@@ -64,6 +62,7 @@ def vehicle_record(recording: FlightData) -> VehicleRecord:
         _hovers(recording),
         _steered(recording),
         _lowered(recording),
+        recording.vehicle in ("", *FLYERS),
     )
 
 
@@ -148,7 +147,8 @@ def _tilt_error(recording: FlightData) -> tuple[Vector, Vector] | None:
     roll, pitch = (recording.curve(f"error-{part}", "autopilot") for part in ("roll", "pitch"))
     if roll is None or pitch is None:
         return None
-    return roll.t_s, np.hypot(roll.value, np.interp(roll.t_s, pitch.t_s, pitch.value))
+    both = np.hypot(roll.value, np.interp(roll.t_s, pitch.t_s, pitch.value))
+    return roll.t_s, np.minimum(both, 180.0)  # both beyond it: upside down
 
 
 def _felt_force(recording: FlightData) -> tuple[Vector, Vector] | None:
@@ -199,8 +199,9 @@ def _lowered(recording: FlightData) -> Windows:
                   if s.name in THROTTLE and len(s.t_s)), None)  # fmt: skip
     if curve is None:
         return []
-    share = curve.value if curve.panel == "sticks" else (curve.value - CENTRE_US) / HALF_RANGE_US
-    # PX4's went from 0 to 1 before 1.14.
-    share = share if np.nanmin(share) < 0.0 else 2.0 * share - 1.0
+    share = (curve.value - CENTRE_US) / HALF_RANGE_US
+    if curve.panel == "sticks":
+        # From -1 to 1, before PX4 1.14 from 0 to 1.
+        share = curve.value if np.nanmin(curve.value) < 0.0 else 2.0 * curve.value - 1.0
     return [(float(curve.t_s[begin]), float(curve.t_s[end - 1]) + BRAKED_S)
             for begin, end in true_runs(share < -STICK_SHARE)]  # fmt: skip

@@ -97,12 +97,12 @@ function showFused(state) {
 // -- links ------------------------------------------------------------------------------------
 
 const FIGURES = { name: "link", frames_in: "in", chunks_out: "out", faulted: "faulted", gaps: "missing", lost_in_kernel: "lost in kernel", crc_errors: "bad CRC",
-  drops: "drops", p50_us: "median µs", p99_us: "99 % µs" };
+  drops: "drops", delays_lost: "lost in a full delay queue", p50_us: "median µs", p99_us: "99 % µs" };
 
 function showLinks(points) {
   const list = Array.isArray(points) ? points : [];
   $("links-title").hidden = !list.length;
-  const used = Object.keys(FIGURES).filter((key) => list.some((one) => one[key] != null));
+  const used = Object.keys(FIGURES).filter((key) => list.some((one) => one[key] != null && (one[key] || key !== "delays_lost")));
   fillTable($("links"), used.map((key) => FIGURES[key]), list.map((one) => used.map((key) => one[key])));
 }
 

@@ -11,9 +11,27 @@ const WARNINGS = new Set(["constant position", "GPS glitch", "accelerometer erro
 const RATIOS = { vel_ratio: "velocity", pos_horiz_ratio: "horizontal position", pos_vert_ratio: "height", mag_ratio: "magnetometer", hagl_ratio: "height above ground", tas_ratio: "airspeed" };
 const VARIANCES = { velocity_variance: "velocity", pos_horiz_variance: "horizontal position", pos_vert_variance: "height", compass_variance: "magnetometer", terrain_alt_variance: "terrain" };
 const LOST_US = 3e6;
+const UPDATE_MS = 100; // between two batches of samples
 
-function quaternionOf(table, field, side = "sent") {
-  const row = table?.[side].at(-1), first = table?.place(field);
+// The views move evenly from batch to batch: they show the samples of the newest one at their own times.
+const played = { us: null, newest_us: null, from_us: 0, ms: 0 };
+
+function play(now_ms) {
+  if (store.newest_us === null) return;
+  if (store.newest_us !== played.newest_us) {
+    const isNext = played.us !== null && Math.abs(store.newest_us - played.us) < LOST_US;
+    Object.assign(played, { newest_us: store.newest_us, from_us: isNext ? played.us : store.newest_us, ms: now_ms });
+  }
+  played.us = played.from_us + (played.newest_us - played.from_us) * Math.min(1, (now_ms - played.ms) / UPDATE_MS);
+}
+
+// The newest sent row of the played time.
+function playedRow(table) {
+  return table?.sent.findLast(([t_us]) => t_us <= (played.us ?? Infinity)) ?? table?.sent.at(-1);
+}
+
+function quaternionOf(table, field) {
+  const row = playedRow(table), first = table?.place(field);
   return row && [0, 1, 2, 3].map((n) => row[first + n]);
 }
 
@@ -30,8 +48,9 @@ function attitudes() {
 }
 
 function fromAngles(table) {
-  if (!table?.sent.length) return undefined;
-  const [r, p, y] = ["roll", "pitch", "yaw"].map((field) => table.newest(field) / 2);
+  const row = playedRow(table);
+  if (!row) return undefined;
+  const [r, p, y] = ["roll", "pitch", "yaw"].map((field) => row[table.place(field)] / 2);
   const [sr, cr, sp, cp, sy, cy] = [Math.sin(r), Math.cos(r), Math.sin(p), Math.cos(p), Math.sin(y), Math.cos(y)];
   return [cr * cp * cy + sr * sp * sy, sr * cp * cy - cr * sp * sy, cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy];
 }
@@ -54,10 +73,11 @@ document.addEventListener("visibilitychange", drawViews);
 window.addEventListener("beforeprint", drawViews);
 
 function drawVehicle(now_ms) {
-  if (store.newest_us === vehicleDrawn.us && !scene.dirty) return;
   if (now_ms - vehicleDrawn.ms < 33) return;
+  play(now_ms);
+  if (played.us === vehicleDrawn.us && !scene.dirty) return;
   const slow = now_ms - vehicleDrawn.slow > 250 || vehicleDrawn.slow === undefined;
-  vehicleDrawn = { ms: now_ms, us: store.newest_us, slow: slow ? now_ms : vehicleDrawn.slow };
+  vehicleDrawn = { ms: now_ms, us: played.us, slow: slow ? now_ms : vehicleDrawn.slow };
   scene.dirty = false;
   const sources = drawViews();
   if (!slow) return;

@@ -217,12 +217,25 @@ def test_a_px4_that_dies_leaves_a_readable_folder_and_the_reason(tmp_path, recor
     assert process.returncode == 1
     assert not (tmp_path / "out" / "report.html").exists()
     assert "the autopilot closed the link" in output
-    assert "last output of PX4: there is no more" in output
+    assert "last output of PX4: " in output
+    assert " | there is no more" in output
     assert "Traceback" not in output
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert not summary["autopilot"]["landed"]
     assert [text for _, text in summary["autopilot"]["texts"]]  # of the recorded telemetry
     assert len(read_columns(tmp_path / "out" / "sent.tlog")["HIL_ACTUATOR_CONTROLS"]) == 949
+
+
+def test_a_px4_that_does_not_start_is_reported_with_its_reason(tmp_path, run):
+    (program := tmp_path / "bin" / "px4").parent.mkdir()
+    (script := tmp_path / "etc" / "init.d-posix" / "rcS").parent.mkdir(parents=True)
+    script.touch()
+    program.write_text("#!/bin/sh\nfor i in 1 2 3 4; do echo no socket; done; echo over; exit 3\n")
+    program.chmod(0o755)
+    process = run("--binary", program, "--no-report", autopilot="px4")
+    output, _ = process.communicate(timeout=240)
+    assert "ended with code 3 before it connected; last output of PX4: no socket | over" in output
+    assert "battery" not in output
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

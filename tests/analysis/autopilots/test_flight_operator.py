@@ -70,6 +70,11 @@ class Autopilot:
             pass
         return sent
 
+    def rest(self):
+        """Be disarmed on the ground until that counts as landed."""
+        for _ in range(3):
+            self.second(frame("HEARTBEAT", base_mode=81), on_ground=True)
+
     def up_to(self, phase):
         self.settle()
         if phase is Phase.ARMING:
@@ -152,10 +157,20 @@ def test_a_hover_takes_off_waits_and_lands():
     frames = [autopilot.second() for _ in range(3)]
     assert autopilot.operator.phase is Phase.LANDING
     assert commands(frames[-1]) == [(176, 9.0)]
-    autopilot.second(frame("HEARTBEAT", base_mode=81))
+    autopilot.rest()
     assert autopilot.operator.phase is Phase.LANDED
     assert autopilot.operator.finished
     assert not autopilot.operator.failure
+
+
+def test_a_vehicle_that_is_disarmed_in_the_air_has_not_landed_before_it_fell():
+    autopilot = Autopilot(operator(FlightPlan(10.0, 300.0)))
+    autopilot.up_to(Phase.FLYING)
+    for _ in range(9):
+        autopilot.second(frame("HEARTBEAT", base_mode=81))
+    assert not autopilot.operator.finished
+    autopilot.rest()
+    assert autopilot.operator.finished
 
 
 def test_flight_events_are_recorded():
@@ -211,7 +226,7 @@ def test_an_autopilot_that_refuses_to_arm_is_asked_for_three_minutes_and_quoted(
 def test_an_autopilot_that_lands_by_itself_ends_the_flight():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.FLYING)
-    autopilot.second(frame("HEARTBEAT", base_mode=81))
+    autopilot.rest()
     assert autopilot.operator.finished
     assert not autopilot.operator.failure
     assert "landed" in autopilot.operator.events_us
@@ -221,7 +236,7 @@ def test_an_autopilot_that_lands_by_itself_ends_the_flight():
 def test_motors_that_stop_during_the_take_off_are_reported():
     autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
     autopilot.up_to(Phase.CLIMBING)
-    autopilot.second(frame("HEARTBEAT", base_mode=81))
+    autopilot.rest()
     assert autopilot.operator.failure == "disarmed while taking off"
 
 

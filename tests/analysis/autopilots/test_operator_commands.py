@@ -51,7 +51,8 @@ def fly(flight, plan):
     operator = Operator(plan, OperatorCommands(PX4["multirotor"], plan.landing))
     operator.receive(POSITION)
     while not operator.finished and flight.t_us < LIMIT_S * 1e6:
-        sent = flight.advance(operator.step(flight.t_us))
+        on_ground = flight.simulation.truth.on_ground
+        sent = flight.advance(operator.step(flight.t_us, on_ground=on_ground))
         for item in parser.push(b"".join(sent.ground)):
             if isinstance(item, Frame):
                 operator.receive(item)

@@ -25,7 +25,7 @@ def test_flags_of_a_starting_estimator_at_rest_are_ignored(
     assert (flags.name, flags.verdict) == ("flags of the autopilot", verdict)
 
 
-@pytest.mark.parametrize(("until_s", "verdict"), [(5.4, PASS), (9.0, WARN)])
+@pytest.mark.parametrize(("until_s", "verdict"), [(5.4, PASS), (9.0, WARN), (30.0, WARN)])
 def test_a_critical_status_that_ends_at_arming_is_none_of_the_flight(
     until_s: float, verdict: str
 ) -> None:
@@ -35,7 +35,7 @@ def test_a_critical_status_that_ends_at_arming_is_none_of_the_flight(
     assert run_checks(found, Thresholds(), [(5.0, 20.0)])[-1].verdict == verdict
 
 
-@pytest.mark.parametrize(("until_s", "verdict"), [(5.4, PASS), (9.0, WARN)])
+@pytest.mark.parametrize(("until_s", "verdict"), [(5.4, PASS), (9.0, WARN), (30.0, WARN)])
 def test_a_flag_that_ends_at_arming_is_none_of_the_flight(until_s: float, verdict: str) -> None:
     found = FlightData("flight", "ardupilot", 0, 20.0)
     t_s = np.arange(0.0, 20.0, 0.2)

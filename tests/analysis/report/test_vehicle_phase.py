@@ -97,6 +97,14 @@ def test_a_bench_without_sky_is_not_judged() -> None:
         assert checks["GPS fix"].verdict == verdict
 
 
+@pytest.mark.parametrize(("name", "verdict"), [("eph", "WARN"), ("vdop", "not judged")])
+def test_the_horizontal_dilution_is_judged(name: str, verdict: str) -> None:
+    t_s = np.arange(0.0, 60.0, 0.2)
+    dilution = [Signal("gps-dilution", name, t_s, np.full(len(t_s), 3.0))]
+    found = flight_checks(FlightData("x", duration_s=60.0, signals=dilution), Thresholds())
+    assert {c.name: c.verdict for c in found}["GPS dilution of precision"] == verdict
+
+
 def test_a_vehicle_that_has_tipped_over_no_longer_flies() -> None:
     t_s = np.arange(0.0, 100.0, 0.1)
     height_m = np.interp(t_s, [0, 10, 60, 65, 100], [0, 20, 20, 0, 0])

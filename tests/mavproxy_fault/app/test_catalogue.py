@@ -53,7 +53,8 @@ def test_show_lists_the_parameters_of_a_fault(capsys: pytest.CaptureFixture[str]
     assert main(["faults", "show", "jitter"]) == 0
     text = capsys.readouterr().out
     assert (
-        "distribution: exponential | normal | pareto | samples | uniform (default uniform)" in text
+        "distribution: exponential | normal | pareto | pareto-normal | samples | uniform"
+        " (default uniform)" in text
     )
     assert "base_s: number (default 0.0)" in text
 

@@ -14,9 +14,14 @@ from mavproxy_fault.compiled.compiled_core import CompiledCore
 from mavproxy_fault.compiled.object_file import load, make
 from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.links.udp import UdpClient, UdpServer
+from mavproxy_fault.live.control import LiveControl
+from mavproxy_fault.live.subscriptions import Watched
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer, CapturedBytes
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.interfaces import LinkRole
+from mavproxy_fault.rtcm.msm7 import encode_epoch
+from mavproxy_fault.rtcm.transport import tunnel_frames
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
@@ -212,6 +217,52 @@ def test_most_traffic_never_reaches_the_plain_path(
     outcome = run(sensors, fast=True, schedule=schedule)
     assert sum(map(len, outcome.got)) > 500 * len(sensors[0]) + announced
     assert len(seen) < 80  # the marks, and what is new at first
+
+
+def watch(datagrams: list[bytes], *, machine: bool) -> tuple[list[Watched], int]:
+    """What a viewer of six messages gets, some of them delayed; and the frames the core took."""
+    schedule = SCHEDULE + "  - {id: late, fault: delay, target: [ATTITUDE, VFR_HUD], value: 0.2}"
+    control = LiveControl(Engine(parse_schedule(schedule)))
+    roles = (LinkRole("vehicle", "from-vehicle"), LinkRole("station", "to-vehicle"))
+    core = Core(roles, control.engine, control=control)
+    control.watch(
+        b'["HIL_SENSOR", "ATTITUDE", "SCALED_IMU", "VFR_HUD", "SYS_STATUS", "HIL_GPS"]', 0.0
+    )
+    front = CompiledCore(core, 0, None) if machine else core
+    for n, datagram in enumerate(datagrams):
+        front.received(0, datagram, 9_000_000 + 10_000 * n)
+    taken = core.states[0].frames
+    if isinstance(front, CompiledCore):
+        front.count()
+    return sorted(control.watched(0.0), key=repr), taken
+
+
+def test_viewers_get_the_same_samples_from_machine_code() -> None:
+    datagrams = traffic(200)
+    (by_core, all_frames), (samples, taken) = (
+        watch(datagrams, machine=machine) for machine in (False, True)
+    )
+    assert samples == by_core
+    assert {one.message for one in samples} >= {"HIL_SENSOR", "ATTITUDE", "VFR_HUD", "SYS_STATUS"}
+    assert taken < 0.7 * all_frames
+
+
+def test_ranges_are_whole_where_frames_pass_in_machine_code() -> None:
+    control = LiveControl(Engine(parse_schedule("faults: []")))
+    roles = (LinkRole("simulator", "to-vehicle"), LinkRole("vehicle", "from-vehicle"))
+    machine = CompiledCore(Core(roles, control.engine, control=control), 0, None)
+    control.watch(b'["PSEUDORANGE"]', 0.0)
+    names = tuple(f"G{n:02}" for n in range(1, 12))
+    zeros = [0.0] * len(names)
+    for n in range(5):
+        sample = frame("HIL_SENSOR", n, 1, 51, time_usec=200_000 * n + 1)
+        machine.received(0, sample, 9_000_000 + 200_000 * n)
+        (message,) = encode_epoch(1000.0 + 0.2 * n, names, [2.1e7] * len(names), zeros, zeros)
+        for raw in tunnel_frames(message, n):  # several frames of one time
+            machine.received(0, raw, 9_000_100 + 200_000 * n)
+    machine.count()
+    (samples,) = control.watched(0.0)
+    assert [sum(value is not None for value in row) for row in samples.received] == [12] * 5
 
 
 def test_delayed_frames_leave_without_the_interpreter(monkeypatch: pytest.MonkeyPatch) -> None:

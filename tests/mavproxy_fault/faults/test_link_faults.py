@@ -81,7 +81,8 @@ def test_jitter_keeps_the_order_by_default(kind: str) -> None:
     assert due == sorted(due)
     loose = [i * STEP_US + late for i, late, _ in run({**fault, "keep_order": False}, 400)]
     assert loose != sorted(loose)
-    assert min(late for _, late, _ in run(fault, 400)) >= 10_000
+    # A normal one lies on both sides of its base.
+    assert min(late for _, late, _ in run(fault, 400)) >= (0 if kind == "normal" else 10_000)
 
 
 def test_jitter_has_its_mean() -> None:

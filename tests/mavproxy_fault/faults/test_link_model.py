@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.faults.timing import Jitter, random_delay
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule, read_schedule
 from mavproxy_fault.wire.dialect import message_layout
@@ -57,6 +58,69 @@ def test_a_queue_of_bytes_takes_whole_frames_while_there_is_room() -> None:
     assert [t_s for t_s, _ in delays([limit], times)] == pytest.approx([0.0, 0.0, 0.0, 0.101])
 
 
+def test_cells_and_a_least_size_are_paid_whole() -> None:
+    limit = {"fault": "rate-limit", "value": 1000, "unit": "bytes", "overhead_bytes": 8}
+    cells = {**limit, "cell_bytes": 48, "cell_overhead_bytes": 5}
+    # 58 + 8 bytes take two cells of 53; 40 + 8 one; 150 + 8 four
+    late = [late for _, late in delays([cells], [0, 1, 2], [58, 40, 150])]
+    assert late == pytest.approx([0.106, 0.053, 0.212])
+    least = [late for _, late in delays([{**limit, "least_bytes": 64}], [0, 1], [40, 100])]
+    assert least == pytest.approx([0.064, 0.108])
+    shorter = [late for _, late in delays([{**limit, "overhead_bytes": -12}], [0], [40])]
+    assert shorter == pytest.approx([0.028])
+
+
+def test_a_peak_rate_spreads_a_burst() -> None:
+    bucket = {"fault": "rate-limit", "value": 1000, "unit": "bytes", "burst_bytes": 400}
+    peaked = {**bucket, "peak": 4000, "peak_burst_bytes": 100}
+    late = [delay for _, delay in delays([peaked], [1.0] * 6)]
+    # the burst at the peak rate, and what has come in meanwhile; then at the mean rate
+    assert late == pytest.approx([0.0, 0.025, 0.05, 0.075, 0.1, 0.2])
+
+
+def test_a_queue_of_frames_takes_so_many() -> None:
+    limit = {"fault": "rate-limit", "value": 10, "queue_frames": 2}
+    found = delays([limit], [0.0, 0.0, 0.0, 0.0, 0.11])
+    # the first leaves at once, two wait, the fourth is lost
+    assert [t_s for t_s, _ in found] == [0.0, 0.0, 0.0, 0.11]
+    with pytest.raises(ConfigError, match="either queue_s, or queue_bytes or queue_frames"):
+        parse_schedule({"faults": [{**limit, "queue_s": 1}]})
+
+
+def slot_model(times_s: Any, sizes: Any, draw: Any, frames: float, octets: float) -> Any:
+    """The delays of netem's `slot`: its dequeue routine, frame by frame."""
+    slot_s, left, room, late = 0.0, frames, octets, []
+    for t_s, size in zip(times_s, sizes, strict=True):
+        if slot_s < t_s:
+            slot_s, left, room = t_s + draw(), frames, octets
+        late.append(slot_s - t_s)
+        left, room = left - 1, room - size
+        if left <= 0 or room <= 0:
+            slot_s, left, room = slot_s + draw(), frames, octets
+    return np.array(late)
+
+
+@pytest.mark.parametrize(("frames", "octets"), [(None, None), (3, None), (None, 250)])
+def test_random_slots_are_those_of_netem(frames: int | None, octets: int | None) -> None:
+    rng = np.random.default_rng(8)
+    times = np.cumsum(rng.exponential(0.02, 60_000))
+    sizes = rng.choice([40, 100, 180], len(times))
+    slots = {"fault": "slots", "base_s": 0.01, "value": 0.03, "frames": frames, "bytes": octets}
+    fault = {key: value for key, value in slots.items() if value is not None}
+    found = delays([fault], times, sizes)
+    ours = np.array([late for _, late in found])
+    leaving = np.array([t_s for t_s, _ in found]) + ours
+    assert np.all(np.diff(leaving) > -1e-5)  # in order
+    model = slot_model(
+        times, sizes, lambda: rng.uniform(0.01, 0.04), frames or np.inf, octets or np.inf
+    )
+    assert ours.mean() == pytest.approx(model.mean(), rel=0.02)
+    for share in (0.1, 0.5, 0.9):
+        assert np.quantile(ours, share) == pytest.approx(np.quantile(model, share), rel=0.04)
+    if frames:
+        assert np.unique(leaving.round(6), return_counts=True)[1].max() <= frames
+
+
 def test_frames_leave_within_their_slots_only() -> None:
     slots = {"fault": "rate-limit", "value": 10_000, "unit": "bytes"}
     slots |= {"period_s": 0.1, "slot_s": 0.03, "queue_s": 10}
@@ -95,6 +159,53 @@ def test_correlated_losses_keep_their_share_and_have_their_correlation(share: fl
     sigma = math.sqrt(share * (1 - share) / count * 4)
     assert abs(lost.mean() - share) < 4 * sigma
     assert np.corrcoef(lost[1:], lost[:-1])[0, 1] == pytest.approx(0.6, abs=0.06)
+
+
+def test_a_normal_jitter_lies_on_both_sides_of_its_base() -> None:
+    jitter = {"fault": "jitter", "value": 0.02, "distribution": "normal", "keep_order": False}
+    late = [late for _, late in delays([{**jitter, "base_s": 0.1}], range(20_000))]
+    assert np.mean(late) == pytest.approx(0.1, abs=4 * 0.02 / math.sqrt(20_000))
+    assert np.std(late) == pytest.approx(0.02, rel=0.03)
+
+
+@pytest.mark.parametrize("z", [-1.2, 0.0, 1.0, 2.3, 3.5])
+def test_pareto_normal_is_a_quarter_of_one_and_three_of_the_other(z: float) -> None:
+    """netem's table: the quantiles of both, 0.25 normal + 0.75 (4/3) (Pareto of shape 3 - 1.5)."""
+    fault = Jitter(base_s=0.1, value=0.02, distribution="pareto-normal")
+    share = 0.5 + 0.5 * math.erf(z / math.sqrt(2))
+    table = 0.25 * z + 0.75 * 4 / 3 * ((1 - share) ** (-1 / 3) - 1.5)
+    # `delay 110ms 20ms distribution paretonormal`
+    assert random_delay(fault.numbers(), z) == pytest.approx(1e6 * (0.11 + 0.02 * table), abs=1)
+
+
+@pytest.mark.parametrize("kind", ["duplicate", "corrupt", "truncate"])
+def test_correlated_choices_keep_their_share(kind: str) -> None:
+    engine = Engine(parse_schedule({"seed": 5, "faults": [
+        {"fault": kind, "value": 0.2, "correlation": 0.6}
+    ]}))  # fmt: skip
+    engine.start_at(0)
+    frame, count = frame_of(60), 30_000
+    chosen = np.zeros(count)
+    for n in range(count):
+        first, *more = engine.apply(frame, "from-vehicle", 1000 * n)
+        chosen[n] = bool(more) or first.frame is not frame
+    assert abs(chosen.mean() - 0.2) < 4 * math.sqrt(0.2 * 0.8 / count * 4)
+    assert np.corrcoef(chosen[1:], chosen[:-1])[0, 1] == pytest.approx(0.6, abs=0.05)
+
+
+def test_a_frame_can_be_damaged_anywhere() -> None:
+    fault = {"fault": "corrupt", "part": "frame"}
+    engine = Engine(parse_schedule({"seed": 5, "faults": [fault]}))
+    engine.start_at(0)
+    frame, places = frame_of(30), set()
+    for n in range(500):
+        (out,) = engine.apply(frame, "from-vehicle", 1000 * n)
+        assert isinstance(out.frame, bytes)
+        pairs = enumerate(zip(out.frame, frame.raw, strict=True))
+        places |= {at for at, (a, b) in pairs if a != b}
+    assert places == set(range(30))
+    with pytest.raises(ConfigError, match="leave out crc: redone"):
+        parse_schedule({"faults": [{**fault, "crc": "redone"}]})
 
 
 @pytest.mark.parametrize(

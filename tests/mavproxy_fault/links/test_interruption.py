@@ -88,7 +88,7 @@ def test_new_connections_are_refused_until_the_fault_ends() -> None:
 def test_a_sliced_stream_arrives_in_pieces_and_in_order() -> None:
     server = TcpServer("127.0.0.1", 0)
     with connected(server) as peer:
-        server.interrupt(7)
+        server.interrupt((7, 0, 0.0))
         assert server.lone_peer() is None  # machine code would write it whole
         server.write(bytes(range(20)))
         server.write(bytes(range(20, 30)))
@@ -104,12 +104,32 @@ def test_a_sliced_stream_arrives_in_pieces_and_in_order() -> None:
     server.close()
 
 
+def test_pieces_vary_in_size_and_wait_for_their_pause() -> None:
+    server = TcpServer("127.0.0.1", 0)
+    with connected(server) as peer:
+        peer.setblocking(False)
+        server.interrupt((7, 3, 0.004))
+        server.write(bytes(range(100)))
+        sizes: list[int] = []
+        begin_s = time.monotonic()
+        while sum(sizes) < 100:
+            server.flush()
+            try:
+                sizes.append(len(peer.recv(100)))
+            except BlockingIOError:
+                continue
+    server.close()
+    assert set(sizes) <= set(range(1, 11))
+    assert len(set(sizes)) > 2
+    assert time.monotonic() - begin_s >= 0.004 * (len(sizes) - 1)
+
+
 def test_a_slice_is_labelled_and_leaves_frames_whole_in_the_recording() -> None:
     got, core = passed([{"fault": "slice", "value": 9, "at_s": 1, "where": {"endpoint": 1}}])
     assert got == [[], [0, 1, 2, 3, 4, 5], [0, 1, 2, 3, 4, 5]]
     assert core.drain_labels()[-1].fault == "slice"
     engine: Any = core.engine
-    assert engine.interrupted == {2: 9}
+    assert engine.interrupted == {2: (9, 0, 0.0)}
 
 
 def test_an_interrupted_client_connects_again_after_the_fault() -> None:

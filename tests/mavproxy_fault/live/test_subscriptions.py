@@ -58,6 +58,16 @@ def test_unchanged_values_are_sent_once() -> None:
     assert samples.sent is None
 
 
+def test_a_message_without_a_stamp_is_not_shown_as_changed() -> None:
+    core, control = proxy()
+    control.watch(b'["SYS_STATUS"]', 0.0)
+    core.received(1, build_frame(message_layout("ATTITUDE"), {"time_boot_ms": 1000}), 9_000_000)
+    status = build_frame(message_layout("SYS_STATUS"), {"voltage_battery": 12000}, seq=1)
+    core.received(1, status, 9_003_000)  # 3 ms after the newest stamp
+    (samples,) = control.watched(0.0)
+    assert (len(samples.received), samples.sent) == (1, None)
+
+
 def test_a_dropped_frame_is_sampled_as_received_only() -> None:
     core, control = proxy("{fault: drop, target: HIL_SENSOR}")
     control.watch(b'["HIL_SENSOR"]', 0.0)

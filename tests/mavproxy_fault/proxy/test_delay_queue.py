@@ -3,8 +3,10 @@
 import heapq
 import random
 
+from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.delay_queue import COUNT, MOST, DelayQueue, follow_simulator, put
-from mavproxy_fault.proxy.interfaces import NEVER_US
+from mavproxy_fault.proxy.interfaces import NEVER_US, LinkRole
+from mavproxy_fault.proxy.statistics import format_endpoints, link_statistics
 
 
 def test_what_is_due_first_leaves_first_whatever_comes_and_goes_meanwhile() -> None:
@@ -22,11 +24,17 @@ def test_what_is_due_first_leaves_first_whatever_comes_and_goes_meanwhile() -> N
     assert queue.first_us == NEVER_US
 
 
-def test_a_full_queue_takes_no_more() -> None:
-    queue = DelayQueue()
-    queue.numbers[COUNT] = MOST
-    assert put(queue.numbers, 5, 1, 9) == -1
-    assert queue.numbers[COUNT] == MOST
+def test_a_full_queue_takes_no_more_and_counts_what_it_loses() -> None:
+    roles = [LinkRole(name, "to-vehicle", datagrams=True) for name in ("a", "b", "c")]
+    core = Core(roles, None)
+    core.waiting.numbers[COUNT] = MOST
+    assert put(core.waiting.numbers, 5, 0b110, 9) == -1
+    core.waiting.hold(5, 0b100, b"late")
+    assert core.waiting.numbers[COUNT] == MOST
+    points = [link_statistics(core, number) for number in range(3)]
+    assert [point["delays_lost"] for point in points] == [0, 1, 2]
+    *_, last = format_endpoints(points).splitlines()
+    assert last == "c: 2 delayed frames lost, as 262144 were waiting"
 
 
 def test_a_second_simulator_or_a_new_start_moves_no_delayed_frame() -> None:

@@ -2,12 +2,16 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from analysis.detection.streams.stream_detector import StreamDetector
+from analysis.monitor.monitor import Monitor
+from analysis.monitor.pipeline import MonitorConfig
 from analysis.results import SensorDecision
+from analysis.run.proxied_flight import ProxiedFlight
 from analysis.samples.block import block_of
 from analysis.samples.sample import (
     AttitudeSample,
@@ -18,6 +22,8 @@ from analysis.samples.sample import (
     Sample,
     TruthSample,
 )
+from mavproxy_fault.schedule.entries import Schedule
+from simvehicle.scenario.scenario_file import read_scenario
 
 SECOND = 1_000_000
 BEGIN_US, END_US = 10 * SECOND, 14 * SECOND  # of what is done to a stream
@@ -124,6 +130,17 @@ def test_a_value_that_has_repeated_before_may_repeat_again() -> None:
 
     samples = [field(s.t_us) if isinstance(s, MagSample) else s for s in stream(40)]
     assert troubles(samples) == []
+
+
+def test_the_sensors_of_a_simulator_without_noise_repeat_themselves_at_rest(tmp_path: Path) -> None:
+    path = tmp_path / "rest.yaml"
+    vehicle = "vehicle: {kind: multirotor, parameters: iris}"
+    path.write_text(f"{{{vehicle}, sensors: {{imu: {{rate_hz: 100}}}}, duration_s: 8}}")
+    flight, data = ProxiedFlight(read_scenario(path), Schedule()), bytearray()
+    while not flight.finished:
+        data += flight.advance([]).monitor
+    results = Monitor(MonitorConfig()).push_bytes([bytes(data)], datagrams=False)
+    assert [r for r in results if isinstance(r, SensorDecision) and r.alarm] == []
 
 
 def test_fixes_that_an_autopilot_forwards_are_no_stream() -> None:
