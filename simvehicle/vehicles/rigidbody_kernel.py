@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mavproxy_fault.numerics.compile import inlined
+from mavproxy_fault.numerics.polynomial import fma
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body, to_ned
 
 State13 = tuple[
@@ -122,19 +123,19 @@ def euler_step(state: State13, rate: State13, dt: float) -> State13:
     north, east, down, u, v, w, e0, e1, e2, e3, p, q, r = state
     dn, de, dd, du, dv, dw, de0, de1, de2, de3, dp, dq, dr = rate
     return (
-        north + dt * dn,
-        east + dt * de,
-        down + dt * dd,
-        u + dt * du,
-        v + dt * dv,
-        w + dt * dw,
-        e0 + dt * de0,
-        e1 + dt * de1,
-        e2 + dt * de2,
-        e3 + dt * de3,
-        p + dt * dp,
-        q + dt * dq,
-        r + dt * dr,
+        fma(dt, dn, north),
+        fma(dt, de, east),
+        fma(dt, dd, down),
+        fma(dt, du, u),
+        fma(dt, dv, v),
+        fma(dt, dw, w),
+        fma(dt, de0, e0),
+        fma(dt, de1, e1),
+        fma(dt, de2, e2),
+        fma(dt, de3, e3),
+        fma(dt, dp, p),
+        fma(dt, dq, q),
+        fma(dt, dr, r),
     )
 
 

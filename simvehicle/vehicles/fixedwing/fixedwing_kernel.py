@@ -4,12 +4,12 @@ The 12-state nonlinear model of Beard and McLain, Small Unmanned Aircraft, 2012,
 with a quaternion for the attitude.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from mavproxy_fault.numerics.compile import inlined
+from mavproxy_fault.numerics.polynomial import atan2, exp
 from mavproxy_fault.numerics.rotations.rotation_kernel import to_body
 from simvehicle.vehicles.rigidbody_kernel import Inertia, State13, rigid_body_derivative
 
@@ -141,14 +141,14 @@ def forces_moments(
     plane = ur * ur + wr * wr
     va = np.sqrt(plane + vr * vr)
     in_plane = np.sqrt(plane) + _STILL_AIR_MPS
-    alpha, beta = math.atan2(wr, ur), math.atan2(vr, in_plane)
+    alpha, beta = atan2(wr, ur), atan2(vr, in_plane)
     inverse = 1.0 / in_plane
     sa, ca = wr * inverse, ur * inverse
     qd = 0.5 * density * va * va * aero.s
     qr = 0.25 * density * va * aero.s  # dynamic pressure times area over 2 Va, finite at rest
 
     linear = aero.cl0 + aero.cla * alpha
-    ea = math.exp(aero.stall_m * alpha)
+    ea = exp(aero.stall_m * alpha)
     k = aero.blend  # sigma blends linear lift (0) into that of a flat plate (1)
     sigma = (ea + k + k * ea * ea) / ((ea + k) * (1.0 + k * ea))
     flat = 2.0 * abs(sa) * sa * ca  # 2 sign(alpha) sin(alpha)^2 cos(alpha)
