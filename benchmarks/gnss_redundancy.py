@@ -39,10 +39,8 @@ def least_errors(samples: list[Sample], config: DetectorConfig) -> dict[tuple[in
     """The least error in m that is detected and isolated, by epoch and satellite."""
     broadcast, x, out = Detector(config).new_state().core.broadcast, np.zeros(X_SIZE), {}
     for s in samples:
-        if isinstance(s, EphemerisSample):
-            broadcast = broadcast.add_ephemeris(s.ephemeris)
-        elif isinstance(s, IonosphereSample):
-            broadcast = broadcast._replace(ionosphere=np.array((*s.alpha, *s.beta, 1.0)))
+        if isinstance(s, (EphemerisSample, IonosphereSample)):
+            broadcast = broadcast.add(s)
         elif isinstance(s, Epoch):
             selection = select_ephemerides(s, broadcast.ephemerides, config.systems)
             observation = observe_epoch(s, selection)

@@ -24,8 +24,7 @@ class RunningAutopilot:
     """The autopilot's process and links, its console log, and the message that advances it a step.
 
     The first link is the HIL link, further ones are telemetry. `startup_text` appears on the
-    console when its start is complete; the autopilot answers
-    steps even earlier.
+    console when its start is complete; the autopilot answers steps even earlier.
     """
 
     name: str

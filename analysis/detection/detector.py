@@ -100,11 +100,8 @@ class Detector:
                     for r in results
                 ]
             return results, DetectorState(core, pending, mag_b)
-        if isinstance(event, EphemerisSample):
-            broadcast = broadcast.add_ephemeris(event.ephemeris)
-        elif isinstance(event, IonosphereSample):
-            known = np.array((*event.alpha, *event.beta, 1.0))
-            broadcast = broadcast._replace(ionosphere=known)
+        if isinstance(event, (EphemerisSample, IonosphereSample)):
+            broadcast = broadcast.add(event)
         return [], DetectorState(core._replace(broadcast=broadcast), pending, mag_b)
 
     def wants_fix(self, core: DetectorCore, t_us: int) -> bool:

@@ -155,10 +155,8 @@ def _residuals(samples: Iterable[Sample], config: DetectorConfig) -> tuple[Vecto
     satellite (n, 6); of rates the residuals in the zenith (m,); how many epochs these are of."""
     broadcast, epochs = Detector(config).new_state().core.broadcast, list[Epoch]()
     for sample in samples:
-        if isinstance(sample, EphemerisSample):
-            broadcast = broadcast.add_ephemeris(sample.ephemeris)
-        elif isinstance(sample, IonosphereSample):
-            broadcast = broadcast._replace(ionosphere=np.array((*sample.alpha, *sample.beta, 1.0)))
+        if isinstance(sample, (EphemerisSample, IonosphereSample)):
+            broadcast = broadcast.add(sample)
         elif isinstance(sample, Epoch):
             epochs.append(sample)
     tables, rates = [np.empty((0, COLUMNS))], [np.empty(0)]

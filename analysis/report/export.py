@@ -146,25 +146,26 @@ def _write_mcap(path: Path, log: Path, recording: FlightData) -> None:
     foxglove = import_extra("foxglove")
     context = foxglove.Context()
 
-    @cache
-    def channel(topic: str) -> Any:
-        described = {"title": topic, "type": "object", **schemas[topic]}
+    def channel(topic: str, schema: dict[str, Any]) -> Any:
+        described = {"title": topic, "type": "object", **schema}
         return foxglove.Channel(topic, schema=described, context=context)
 
-    schemas: dict[str, Any] = {}
+    @cache
+    def results_of(kind: type) -> Any:
+        return channel(f"/results/{kind.__name__}", msgspec.json.schema(kind))
 
+    rows: dict[str, Any] = {}  # channels of tables
     with foxglove.open_mcap(path, allow_overwrite=True, context=context):
         write_views(recording, context)
         for name, stamps_ns, table in _timed_tables(log, recording):
-            kinds = {column: {"type": _json_type(values)} for column, values in table.items()}
-            schemas.setdefault(f"/{name}", {"properties": kinds})
+            if name not in rows:
+                kinds = {column: {"type": _json_type(values)} for column, values in table.items()}
+                rows[name] = channel(f"/{name}", {"properties": kinds})
             for stamp, row in zip(stamps_ns, _json_rows(table), strict=True):
-                channel(f"/{name}").log(row, log_time=stamp)
+                rows[name].log(row, log_time=stamp)
         path = log / "results.jsonl"
         for result in read_results(path) if path.is_file() else ():
-            topic = f"/results/{type(result).__name__}"
-            schemas.setdefault(topic, msgspec.json.schema(type(result)))
-            channel(topic).log(encode(result), log_time=max(result.t_us, 0) * 1000)
+            results_of(type(result)).log(encode(result), log_time=max(result.t_us, 0) * 1000)
 
 
 def _timed_tables(

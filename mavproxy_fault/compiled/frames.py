@@ -25,7 +25,7 @@ from mavproxy_fault.wire.framing import has_valid_checksum
 SPREAD = 0x9E3779B97F4A7  # 2^52 by the golden ratio: close keys get distant places (Knuth 6.4)
 
 # The rules of the core, as machine code
-frame_header = kernel_of(frame.frame_header)
+whole_frame = kernel_of(frame.whole_frame)
 has_unknown_flags = kernel_of(frame.has_unknown_flags)
 vehicle_time = kernel_of(sender_rules.vehicle_time)
 link_time = kernel_of(sender_rules.link_time)
@@ -109,7 +109,7 @@ def _sample(
 @kernel
 def _sample_sent(source: k.Octets, at: int, length: int, t_us: int, shared: Shared) -> None:
     """Keep what is sent for viewers, if it is still a frame."""
-    head, number, stop = frame_header(source, at, at + length)
+    head, number, stop = whole_frame(source, at, at + length)
     if stop == at + length and number < k.IDS and shared.table[number, k.SAMPLED]:
         _sample(source, at, head, number, length, t_us, 2, shared)
 
@@ -129,7 +129,7 @@ def _send(source: k.Octets, at: int, length: int, mask: int, now_us: int, shared
     segments[segment, k.BYTES_OUT] += length
     if not loop[k.KEEP]:
         return
-    if frame_header(source, at, at + length)[2] == at + length:
+    if whole_frame(source, at, at + length)[2] == at + length:
         _record(shared.sent, k.SENT_AT, now_us, source, at, length, shared)
         return
     place = loop[k.OTHER_AT]  # cut: its length, before the record
@@ -297,10 +297,9 @@ def pass_chunk(shared: Shared) -> None:
     now_us = (loop[k.BASE] + loop[k.CAME]) // 1000
     while found == k.DONE and loop[k.ROW_AT] < loop[k.LENGTH]:
         at = loop[k.ROW_AT]
-        head, number, stop = frame_header(shared.data, at, loop[k.LENGTH])
+        head, number, stop = whole_frame(shared.data, at, loop[k.LENGTH])
         found = k.FULL if _is_full(shared) else k.REST
-        whole = head > 0 and stop <= loop[k.LENGTH]
-        if found == k.REST and whole and not has_unknown_flags(shared.data, at):
+        if found == k.REST and head and not has_unknown_flags(shared.data, at):
             found = _pass_frame(at, head, number, stop, loop[k.LINK], now_us, shared)
             if found == k.DONE or found == k.NEWS:
                 loop[k.ROW_AT] = stop

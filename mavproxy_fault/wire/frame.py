@@ -145,6 +145,12 @@ def frame_header(data: Sequence[int], at: int, size: int) -> tuple[int, int, int
     return 0, 0, 0
 
 
+def whole_frame(data: Sequence[int], at: int, size: int) -> tuple[int, int, int]:
+    """Return the `frame_header` of a frame that is all within `size` bytes, else zeros; a rule."""
+    head, number, end = frame_header(data, at, size)
+    return (head, number, end) if end <= size else (0, 0, 0)
+
+
 def has_unknown_flags(data: Sequence[int], at: int) -> bool:
     """Whether a frame's incompat flags forbid a receiver to read it; a rule in numbers only."""
     return data[at] == STX_V2 and data[at + 2] & ~SIGNED != 0

@@ -24,8 +24,8 @@ from mavproxy_fault.wire.frame import (
     STX_V2,
     Frame,
     checksum,
-    frame_header,
     has_unknown_flags,
+    whole_frame,
 )
 
 MAX_UNKNOWN_IDS = 256  # chosen: more than a dialect has; bounds the memory against random ids
@@ -52,7 +52,7 @@ class Junk:
         """Return a frame of an unknown message, whose header can be read; None for other bytes."""
         if self.kind != "unknown":
             return None
-        head, number, _ = frame_header(self.raw, 0, len(self.raw))
+        head, number, _ = whole_frame(self.raw, 0, len(self.raw))
         checked = head + self.raw[1]
         extra = _crc_extra_of(self.raw[1:checked], self.raw[checked : checked + CRC_LENGTH])
         assert extra is not None
@@ -167,8 +167,8 @@ class Parser:
 
     def _candidate(self, data: bytes, at: int) -> Frame | Junk | Literal[False] | None:
         """Parse the item at a start byte; None if it is incomplete, False if it is not a frame."""
-        head, number, end = frame_header(data, at, len(data))
-        if head == 0 or end > len(data):
+        head, number, end = whole_frame(data, at, len(data))
+        if head == 0:
             return None
         checked = at + head + data[at + 1]
         # A stream has few message ids: cache their layouts, including unknown ones.
@@ -208,8 +208,8 @@ def walk_frames(data: bytes) -> Iterator[tuple[int, int, int]]:
     """Yield start, end and message id of the complete frames that bytes begin with, unverified."""
     at = 0
     while at < len(data):
-        head, number, end = frame_header(data, at, len(data))
-        if head == 0 or end > len(data):
+        head, number, end = whole_frame(data, at, len(data))
+        if head == 0:
             return
         yield at, end, number
         at = end
@@ -233,8 +233,8 @@ def _find_frame_inside(data: bytes, start: int, end: int) -> tuple[int, int] | N
     # An unknown message whose CRC passes by chance must not hide a known one.
     for begin in START_BYTES.finditer(data, start, max(start, end - HEADER_V1 - CRC_LENGTH + 1)):
         at = begin.start()
-        head, number, stop = frame_header(data, at, end)
-        if head == 0 or stop > end:
+        head, number, stop = whole_frame(data, at, end)
+        if head == 0:
             continue
         known = find_layout(number)
         checked = at + head + data[at + 1]

@@ -25,7 +25,14 @@ from analysis.orbits.broadcast import (
     packed_for_carrier,
     satellite_states,
 )
-from analysis.samples.sample import Epoch, Orbit, PreciseOrbit, Vector
+from analysis.samples.sample import (
+    EphemerisSample,
+    Epoch,
+    IonosphereSample,
+    Orbit,
+    PreciseOrbit,
+    Vector,
+)
 from mavproxy_fault.numerics.constants import L1_HZ
 
 Indices = NDArray[np.int64]
@@ -81,6 +88,12 @@ class BroadcastData(Value, frozen=True):
     ionosphere: Vector
     selection: EphemerisSelection | None = None
     wrong: frozenset[Orbit] = frozenset()
+
+    def add(self, sample: EphemerisSample | IonosphereSample) -> "BroadcastData":
+        """The data with what a sample says of orbits or the ionosphere."""
+        if isinstance(sample, EphemerisSample):
+            return self.add_ephemeris(sample.ephemeris)
+        return self._replace(ionosphere=np.array((*sample.alpha, *sample.beta, 1.0)))
 
     def add_ephemeris(self, ephemeris: Orbit) -> "BroadcastData":
         """The data with one more ephemeris, which replaces a known ephemeris of the same time."""

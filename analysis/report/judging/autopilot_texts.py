@@ -115,12 +115,13 @@ def find_alarms(spoken: Sequence[Event], armed: Windows | None) -> list[TextFind
         if is_over(event.text) or (event.kind == "error" and not is_alarming(event)):
             _end(found.get(subject), event.t_s)
             continue
+        lost = is_loss(event.text)
         grave = (
             event.severity <= ALERT
-            or is_loss(event.text)
+            or lost
             or (event.severity != NOTICE and bool(SEVERE.search(event.text)))
         )
-        crashed = is_crash_text(event.text) or is_loss(event.text)
+        crashed = is_crash_text(event.text) or lost
         flown = is_within(event.t_s, armed) or (
             crashed and is_within(event.t_s - AFTER_DISARM_S, armed)
         )

@@ -200,8 +200,8 @@ def test_bytes_that_all_look_like_a_frame_start_take_linear_time(
     # Crafted input can have a possible CRC at every start; here every CRC is accepted.
     monkeypatch.setattr(parser, "_crc_extra_of", lambda body, crc: 0)
     looked = []
-    read = parser.frame_header
-    monkeypatch.setattr(parser, "frame_header", lambda *place: looked.append(place) or read(*place))
+    read = parser.whole_frame
+    monkeypatch.setattr(parser, "whole_frame", lambda *place: looked.append(place) or read(*place))
     heartbeat = build_frame(message_layout("HEARTBEAT"), {"type": 1})
     data = (b"\xfd" * 240 + heartbeat) * 20
     found = Parser().push(data, datagram=True)
