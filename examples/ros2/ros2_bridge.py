@@ -144,6 +144,8 @@ def main() -> None:
     ours = zenoh.Config.from_file(str(PASSWORD)) if PASSWORD.exists() else zenoh.Config()
     with client(args.proxy, ours) as proxy, client(args.ros, zenoh.Config()) as ros:
         kept = bridge(proxy, ros, args.run, args.domain)
+        for session in (proxy, ros):  # a router answers behind what was declared before
+            list(session.liveliness().get("mavproxy_fault/ready"))
         print(
             "/mavproxy_fault/events, /mavproxy_fault/arm, /mavproxy_fault/answers; Ctrl-C ends",
             flush=True,
