@@ -72,5 +72,10 @@ def latest_labels(labels: Iterable[Label]) -> list[Label]:
 def _lines(path: Path) -> Iterator[Label]:
     decoder = msgspec.json.Decoder(Label)
     for line in path.read_bytes().splitlines(keepends=True):
-        if line.endswith(b"\n"):
+        try:
             yield decoder.decode(line)
+        except msgspec.ValidationError:
+            raise
+        except msgspec.DecodeError:
+            if line.endswith(b"\n"):
+                raise
