@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, partial
+from glob import escape, iglob
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -116,8 +117,10 @@ def _announce(name: str) -> None:
             write_atomic(shared, repr(now_s))
         os.utime(shared)
         begun_s = float(shared.read_text())
-        made_s = [path.stat().st_mtime for path in kernels().glob("*/*.nbc")]
-        done = sum(one_s > begun_s for one_s in made_s)
+        done = 0
+        for path in iglob(f"{escape(str(kernels()))}/*/*.nbc"):
+            with suppress(FileNotFoundError):  # another process has removed an outdated one
+                done += os.path.getmtime(path) > begun_s
         LOG.warning(
             "compiling kernels (first use only): %d done, %.0f s, %s", done, now_s - begun_s, name
         )

@@ -61,6 +61,16 @@ def test_code_for_the_baseline_serves_every_later_processor(tmp_path: Path) -> N
     assert not any(own.rglob("*.nbc"))
 
 
+def test_code_that_another_process_removes_meanwhile_is_not_a_folder_without_access(
+    tmp_path: Path,
+) -> None:
+    gone = tmp_path / "code" / "kernels" / "old-version" / "function.nbc"
+    gone.parent.mkdir(parents=True)
+    gone.symlink_to(tmp_path / "removed")
+    lines = python(tmp_path, tmp_path, MAVPROXY_FAULT_CACHE=str(tmp_path / "code"))[2:]
+    assert ["compiling kernels (first use only): 0 done, 0 s" in line for line in lines] == [True]
+
+
 def test_code_from_the_disk_is_inlined_by_what_is_compiled_later(tmp_path: Path) -> None:
     code = {"MAVPROXY_FAULT_CACHE": str(tmp_path / "code")}
     python(tmp_path, tmp_path, **code)
