@@ -26,8 +26,7 @@ import yaml
 
 from analysis import estimators
 from analysis.estimators.complementary import Gains, Mahony
-from analysis.estimators.ekf import Ekf
-from analysis.estimators.ekf_kernel import Tuning
+from analysis.estimators.ekf import Ekf, Tuning
 from analysis.flying.worker_pool import InProcessPool
 from analysis.search.archive import Archive
 from analysis.search.history import RECORD

@@ -31,7 +31,7 @@ from analysis.estimators.estimator import Prior
 from analysis.field_maps.field_map import TLOG
 from analysis.report.flight_checks import _files
 from analysis.report.curves.panels import PANELS
-from analysis.samples.message_readers import SAMPLE_LINES
+from analysis.samples.decoder import SAMPLE_LINES
 from analysis.samples.sample import ImuSample
 from mavproxy_fault.links.spec import open_link
 from simvehicle.hil.hil_messages import READING_MESSAGES

@@ -1,8 +1,8 @@
 """The detector: samples in, a decision for each GNSS epoch out."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import msgspec
 import numpy as np
@@ -48,8 +48,24 @@ SPACING_MAX_US = 120_000_000  # after a longer gap the filter knows nothing of t
 TYPICAL_IONOSPHERE_FACTOR = 2.5
 
 
+class EventDetector(Generic[State]):
+    """A detector that processes samples event by event."""
+
+    def step_piece(self, piece: BlockSlice, state: State) -> tuple[list[Result], State]:
+        """The results of samples up to an event, and the next state."""
+        raise NotImplementedError
+
+    def step(self, samples: Sample | Block, state: State) -> tuple[list[Result], State]:
+        """The results of a block of samples, or of a single one, and the next state."""
+        results: list[Result] = []
+        for piece in split_at_events(samples):
+            more, state = self.step_piece(piece, state)
+            results += more
+        return results, state
+
+
 @dataclass(frozen=True)
-class Detector:
+class Detector(EventDetector[DetectorState]):
     """Finds which satellites are faulty, or whether the IMU or the receiver is; see docs/fdi.md."""
 
     config: DetectorConfig = field(default_factory=DetectorConfig)
@@ -60,12 +76,6 @@ class Detector:
         factor = TYPICAL_IONOSPHERE_FACTOR if is_typical else 1.0
         ionosphere = np.array([*self.config.ionosphere, factor], dtype=float)
         return DetectorState(DetectorCore(None, BroadcastData({}, ionosphere)))
-
-    def step(
-        self, samples: Sample | Block, state: DetectorState
-    ) -> tuple[list[Result], DetectorState]:
-        """The decisions on a block of samples, or on a single one, and the next state."""
-        return step_pieces(self.step_piece, samples, state)
 
     def step_piece(
         self, piece: BlockSlice, state: DetectorState
@@ -218,19 +228,6 @@ class Detector:
         if core.motion is not None:
             results += clock_results(core.motion, core.history)
         return results, core
-
-
-def step_pieces(
-    step: Callable[[BlockSlice, State], tuple[list[Result], State]],
-    samples: Sample | Block,
-    state: State,
-) -> tuple[list[Result], State]:
-    """The results of a step on a block of samples, or on a single one, event by event."""
-    results: list[Result] = []
-    for piece in split_at_events(samples):
-        more, state = step(piece, state)
-        results += more
-    return results, state
 
 
 def run_detector(detector: Detector, samples: Iterable[Sample]) -> list[Result]:

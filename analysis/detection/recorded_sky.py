@@ -15,7 +15,7 @@ from analysis.orbits.broadcast import POSITION, VELOCITY
 from analysis.recordings.read_recordings import read_rinex
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.earth_kernel import local_axes
 
 LEAST_SATELLITES = 6  # satellites: two systems' unknowns and one to spare
 
@@ -43,8 +43,7 @@ def recorded_sky(
             f"{observations}: no epoch gives a position; a spoof needs one with {LEAST_SATELLITES}"
             " satellites that have an ephemeris"
         )
-    lat, lon, _ = geodetic_position(r_ecef_m)
-    axes = ned_axes(lat, lon)
+    axes = local_axes(r_ecef_m)
 
     def sky(t_us: int) -> dict[str, Vector]:
         epoch = epochs.get(t_us)

@@ -15,7 +15,7 @@ from analysis.detection.filter.ephemerides import (
     StoredOrbit,
     select_ephemerides,
 )
-from analysis.detection.filter.measurement import Indices, observe_epoch
+from analysis.detection.filter.measurement import observe_epoch
 from analysis.orbits.broadcast import (
     AZIMUTH,
     ELEVATION,
@@ -25,9 +25,9 @@ from analysis.orbits.broadcast import (
 )
 from analysis.orbits.snapshot import design_matrix
 from analysis.results import Decision, Result
-from analysis.samples.block import EPHEMERIS, EPOCH, Block
+from analysis.samples.block import EPHEMERIS, EPOCH, Block, Indices
 from analysis.samples.sample import EphemerisSample, Epoch, Vector
-from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.earth_kernel import local_axes
 
 NO_IONOSPHERE = np.zeros(8)  # only directions are needed
 AT_REST = np.zeros(3)
@@ -102,7 +102,6 @@ def _dilution(
     design = design_matrix(line_of_sight, system)
     if len(design) < design.shape[1] or np.linalg.matrix_rank(design) < design.shape[1]:
         return None, None
-    lat, lon, _ = geodetic_position(r_ecef_m)
-    axes = ned_axes(lat, lon)
+    axes = local_axes(r_ecef_m)
     north, east, down = np.diag(axes @ np.linalg.inv(design.T @ design)[:3, :3] @ axes.T)
     return round(math.sqrt(north + east), 3), round(math.sqrt(down), 3)

@@ -4,9 +4,7 @@ An entry point of the group `mavproxy_fault.estimators` names a function without
 returns an `Estimator` (see `estimator`).
 """
 
-from collections.abc import Callable
-from importlib import import_module
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 
 from analysis.estimators.estimator import AttitudeEstimate, Estimator, Prior, estimate_block
 from mavproxy_fault.documents.errors import ConfigError
@@ -21,13 +19,17 @@ __all__ = [
 ]
 
 GROUP = "mavproxy_fault.estimators"
+# Loaded by name: an estimator that is not used is not imported.
 BUILT_IN = {
-    "complementary": "analysis.estimators.complementary:complementary",
-    "ekf": "analysis.estimators.ekf:Ekf",
-    "fusion": "analysis.estimators.graph_estimator:FusedAttitude",
-    "inverse-model": "analysis.estimators.inverse_model:InverseModel",
-    "madgwick": "analysis.estimators.madgwick:Madgwick",
-    "mahony": "analysis.estimators.complementary:Mahony",
+    name: EntryPoint(name, f"analysis.estimators.{place}", GROUP)
+    for name, place in (
+        ("complementary", "complementary:complementary"),
+        ("ekf", "ekf:Ekf"),
+        ("fusion", "graph_estimator:FusedAttitude"),
+        ("inverse-model", "inverse_model:InverseModel"),
+        ("madgwick", "madgwick:Madgwick"),
+        ("mahony", "complementary:Mahony"),
+    )
 }
 
 
@@ -44,14 +46,9 @@ def make_estimator(name: str) -> Estimator:
     ConfigError
         If nothing of that name is registered.
     """
-    factory: Callable[[], Estimator]
-    if name in BUILT_IN:
-        # Imported by name: an estimator that is not used is not loaded.
-        module, _, attribute = BUILT_IN[name].partition(":")
-        factory = getattr(import_module(module), attribute)
-        return factory()
     # Built-in names come first: a plugin cannot replace one.
-    for point in entry_points(group=GROUP, name=name):
-        factory = point.load()
-        return factory()
-    raise ConfigError(f"estimator: {name!r} is unknown; known: {', '.join(estimator_names())}")
+    point = BUILT_IN.get(name) or next(iter(entry_points(group=GROUP, name=name)), None)
+    if point is None:
+        raise ConfigError(f"estimator: {name!r} is unknown; known: {', '.join(estimator_names())}")
+    estimator: Estimator = point.load()()
+    return estimator

@@ -21,7 +21,7 @@ from analysis.fusion.smoother import Fusion
 from analysis.results import Decision, FusedState
 from analysis.samples.block import split_at_events
 from analysis.samples.sample import ImuSample, Sample, Vector
-from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.earth_kernel import local_axes
 from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_attitude, rotation_matrix
 
@@ -92,8 +92,8 @@ class FusedAttitude:
     def _align_detector(motion: MotionEstimate, state: FusedAttitudeState) -> None:
         """Initialise the attitude of the detector's filter with that of this estimator."""
         x, p = motion.x.copy(), motion.p.copy()
-        lat, lon, _ = geodetic_position(x[R : R + 3])
-        x[X_Q : X_Q + 4] = quat_from_matrix(ned_axes(lat, lon).T @ rotation_matrix(state.q_nb))
+        axes = local_axes(x[R : R + 3])
+        x[X_Q : X_Q + 4] = quat_from_matrix(axes.T @ rotation_matrix(state.q_nb))
         # The prior attitude is not correlated with the other errors.
         p[PSI : PSI + 3, :] = p[:, PSI : PSI + 3] = 0.0
         p[PSI : PSI + 3, PSI : PSI + 3] = PRIOR_SIGMA_RAD**2 * np.eye(3)
@@ -119,5 +119,4 @@ class FusedAttitude:
 
 def _rotate_by(q_nb: Vector, rate_rps: Vector, dt_s: float) -> Vector:
     rotvec = rate_rps * dt_s
-    result: Vector = rotate_attitude(q_nb, float(rotvec[0]), float(rotvec[1]), float(rotvec[2]))
-    return result
+    return np.asarray(rotate_attitude(q_nb, float(rotvec[0]), float(rotvec[1]), float(rotvec[2])))

@@ -7,7 +7,7 @@ import numpy as np
 
 from analysis.fusion.graph import Graph
 from analysis.results import FusedState
-from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.earth_kernel import local_axes
 from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
 
 UNKNOWN_DEG = (180.0, 180.0, 180.0)
@@ -19,8 +19,7 @@ def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str)
     node, frame = graph.node, graph.frame
     pose, p = node.pose.matrix(), graph.covariance
     position = frame.ecef(pose[:3, 3])
-    lat, lon, _ = geodetic_position(position)
-    ned = ned_axes(lat, lon)
+    ned = local_axes(position)
     to_ned = ned @ frame.axes.T
     rotation = to_ned @ pose[:3, :3]
     # The graph takes range errors as independent: their lasting part is added.

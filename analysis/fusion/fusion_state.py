@@ -5,11 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from analysis.detection.detector_state import DetectorCore, EpochRecord
+from analysis.detection.detector_state import DetectorCore
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.propagation import NO_RUN, add_pending
 from analysis.detection.values import Value
-from analysis.fusion.factors.sensor_factors import SensorFactors
 from analysis.fusion.graph import Graph
 from analysis.fusion.learned_noise import LearnedNoise
 from analysis.results import Decision, FusedState, Result
@@ -31,12 +30,6 @@ class FusionEpoch(Value, frozen=True):
         motion = self.core.motion
         return motion if motion and motion.t_us == self.decision.t_us else None
 
-    @property
-    def record(self) -> EpochRecord | None:
-        """The detector's record of this epoch, if there is one."""
-        history = self.core.history
-        return history[-1] if history and history[-1].t_us == self.decision.t_us else None
-
 
 @dataclass(slots=True)
 class FusionState:
@@ -51,7 +44,6 @@ class FusionState:
     imu: ImuRun = NO_RUN
     pending: dict[str, Sample] = field(default_factory=dict)
     graph: Graph | None = None
-    sensor_factors: SensorFactors | None = None
     noise: LearnedNoise = field(default_factory=LearnedNoise)
     excluded: frozenset[str] = frozenset()
     isolated: frozenset[str] = frozenset()

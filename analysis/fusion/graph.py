@@ -60,6 +60,7 @@ class Graph:
     ) -> None:
         self.frame, self.node = beginning.frame, beginning.node
         self.aligned = beginning.aligned
+        self.spans: dict[str, list[int]] = {"h": [], "w": []}  # of the slow states, by letter
         self.slow_m2: Vector = np.zeros((3, 3))  # ECEF, covariance of the lasting position error
         self.covariance: Vector = np.zeros((9, 9))
         self.window = FactorWindow(config.lag_s, any_scale=beginning.uncertain)

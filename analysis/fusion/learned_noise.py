@@ -69,7 +69,7 @@ class LearnedNoise:
         are ignored."""
         dt_s = min(max((t_us - self.t_us) * 1e-6, 0.0), 1.0)
         self.t_us = t_us
-        self._start_satellites(satellites)
+        self.table, self.satellites = self._rows_of(satellites), satellites
         used = weights != 0.0
         (slow, rate), age = normalised.T, self.table[:, AGE].copy()
         # An outlier must not raise the sigma that detects it.
@@ -93,9 +93,6 @@ class LearnedNoise:
         # The solution removes as many degrees of freedom as it has unknowns.
         mean_square = float(means @ means) * count / (count - unknowns)
         return math.sqrt((SLOW_PRIOR * configured**2 + mean_square) / (SLOW_PRIOR + count))
-
-    def _start_satellites(self, satellites: tuple[str, ...]) -> None:
-        self.table, self.satellites = self._rows_of(satellites), satellites
 
     def _rows_of(self, satellites: tuple[str, ...]) -> Vector:
         """The table's rows of some satellites; new ones start as configured."""

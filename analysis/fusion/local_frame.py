@@ -9,8 +9,7 @@ import numpy as np
 
 from analysis.detection.filter.inertial import gravity_ecef
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
-from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.earth_kernel import geodetic_position, local_axes
 from mavproxy_fault.numerics.magnetic_field import date_of, magnetic_field_gauss
 
 
@@ -29,24 +28,15 @@ class LocalFrame:
 
     def local(self, r_ecef_m: Vector) -> Vector:
         """A position (3,) in this frame."""
-        result: Vector = self.axes @ (r_ecef_m - self.anchor_m)
-        return result
+        return np.asarray(self.axes @ (r_ecef_m - self.anchor_m))
 
     def ecef(self, r_m: Vector) -> Vector:
         """A position (3,) of this frame in ECEF."""
-        result: Vector = self.anchor_m + self.axes.T @ r_m
-        return result
+        return np.asarray(self.anchor_m + self.axes.T @ r_m)
 
     def gravity(self, r_m: Vector) -> Vector:
         """Gravity (3,) at a position of this frame."""
-        result: Vector = self.axes @ gravity_ecef(self.ecef(r_m))
-        return result
-
-    def earth_rate(self) -> Vector:
-        """The earth's rotation (3,) in rad/s."""
-        # The earth rotates about z of ECEF: the third column is that axis in this frame.
-        result: Vector = self.axes[:, 2] * GNSS_EARTH_RATE_RPS
-        return result
+        return np.asarray(self.axes @ gravity_ecef(self.ecef(r_m)))
 
     @cached_property
     def field_gauss(self) -> Vector:
@@ -61,6 +51,5 @@ class LocalFrame:
 
 def frame_at(r_ecef_m: Vector, stamp_us: int) -> LocalFrame:
     """The frame anchored at a position (3,) at a stamp."""
-    lat, lon, _ = geodetic_position(r_ecef_m)
-    north, east, down = ned_axes(lat, lon)
+    north, east, down = local_axes(r_ecef_m)
     return LocalFrame(r_ecef_m.copy(), np.array([east, north, -down]), stamp_us)

@@ -29,7 +29,6 @@ from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.fusion_state import FusionEpoch, FusionState, sample_rows
 from analysis.fusion.graph import Attitude, Graph
 from analysis.fusion.graph_start import (
-    GraphStart,
     attitude_in_frame,
     navigation_state,
     start_from_filter,
@@ -107,43 +106,37 @@ class Fusion:
         if now.core.motion is None:  # the detector has no position, so there is none to fuse
             state.graph = None
             return None
-        if graph is not None and not self._must_restart(graph, now.decision):
+        # It starts again with the detector, and after a gap that is too long.
+        if (
+            graph is not None
+            and now.decision.mode != "start"
+            and (now.decision.t_us - graph.node.t_us) * 1e-6 <= self.detector.reset_s
+        ):
             return self._continue(graph, now, state)
         if motion is None:
             return None
         state.notes.append("the graph started")
         return self._begin(motion, now, state)
 
-    def _must_restart(self, graph: Graph, decision: Decision) -> bool:
-        """Whether the detector restarted or the gap is too long."""
-        silent_s = (decision.t_us - graph.node.t_us) * 1e-6
-        return decision.mode == "start" or silent_s > self.detector.reset_s
-
     def _begin(self, motion: MotionEstimate, now: FusionEpoch, state: FusionState) -> FusedState:
         """Start a new graph at the detector's solution."""
         beginning = start_from_filter(motion, self.config.correlation)
-        graph = self._new_graph(beginning, state)
+        before, graph = state.graph, Graph(beginning, self.config, self.detector)
+        state.graph, state.attitude_lost = graph, False
+        # The satellites are the same, and so are their lasting errors.
+        if before is not None:
+            graph.slow_m2 = before.slow_m2
         used = {"imu": float(motion.inertial)}
         if beginning.uncertain:
             used |= self._attach_ranges(graph, now, state)
         return self._commit(graph, used, now, state)
-
-    def _new_graph(self, beginning: GraphStart, state: FusionState) -> Graph:
-        before = state.graph
-        graph = state.graph = Graph(beginning, self.config, self.detector)
-        state.sensor_factors = SensorFactors(graph, self.config)
-        state.attitude_lost = False
-        # The satellites are the same, and so are their lasting errors.
-        if before is not None:
-            graph.slow_m2 = before.slow_m2
-        return graph
 
     def _continue(self, graph: Graph, now: FusionEpoch, state: FusionState) -> FusedState | None:
         """Append one epoch to the graph."""
         isolated = isolated_sensors(now.results, self.config)
         attitude = self._update_imu_trust(graph, now, isolated, state)
         t_us, node = now.decision.t_us, graph.node
-        part = self._imu_segment(node.t_us, now, state)
+        part = segment_between(state.imu_until(t_us), node.t_us, t_us)
         silent = part.gap_s > self.detector.gap_s  # missing samples may still arrive
         trusted = silent or not ("imu" in isolated or state.attitude_lost)
         jumped_m = CLOCK_JUMP_M if now.decision.hypothesis == "clock" else 0.0
@@ -155,25 +148,20 @@ class Fusion:
             graph.aligned and not connected and attitude is None
         )
         used = {"imu": float(connected)} | self._attach_ranges(graph, now, state)
-        assert state.sensor_factors is not None
+        sensors = SensorFactors(graph, self.config)
         tested = sensor_weights(now.results, isolated, self.config) if state.pending else {}
         for source, sample in state.pending.items():
-            share = state.sensor_factors.attach(sample, now.decision, tested.get(source, 1.0))
+            share = sensors.attach(sample, now.decision, tested.get(source, 1.0))
             if share is not None:
                 used[source] = share
         state.isolated = isolated
         fused = self._commit(graph, used, now, state)
         contradiction = filter_contradiction(graph, now.motion, self.config.correlation)
         if contradiction and self.config.decide:
-            return self._use_filter(contradiction, now, state)
+            assert now.motion is not None
+            state.notes = [f"{contradiction}; it was restarted there"]
+            return self._begin(now.motion, now, state)
         return fused if any(used.values()) else None  # without any source there is no fused state
-
-    def _use_filter(self, contradiction: str, now: FusionEpoch, state: FusionState) -> FusedState:
-        """Return the filter's solution in place of the graph's, and restart the graph there."""
-        motion = now.motion
-        assert motion is not None
-        state.notes = [f"{contradiction}; it was restarted there"]
-        return self._begin(motion, now, state)
 
     def _imu_noise(self, part: ImuSegment, trusted: bool, state: FusionState) -> ProcessNoise:
         if not self.config.learn:
@@ -181,16 +169,6 @@ class Fusion:
         if trusted:
             state.noise.add_imu(part.samples)
         return state.noise.current_noise(self.detector.noise)
-
-    @staticmethod
-    def _imu_segment(since_us: int, now: FusionEpoch, state: FusionState) -> ImuSegment:
-        """The IMU since the last epoch: usually the detector's own segment."""
-        record = now.record
-        before = record.core.motion if record is not None else None
-        if record is not None and before is not None and before.t_us == since_us:
-            return record.segment
-        t_us = now.decision.t_us
-        return segment_between(state.imu_until(t_us), since_us, t_us)
 
     def _commit(
         self, graph: Graph, used: dict[str, float], now: FusionEpoch, state: FusionState
@@ -263,9 +241,7 @@ class Fusion:
             or now.core.broadcast.selection is None
         ):
             return {}
-        record = now.record
-        selection = now.core.broadcast.selection
-        observation = record.observation if record else observe_epoch(now.sample, selection)
+        observation = observe_epoch(now.sample, now.core.broadcast.selection)
         if observation is None:
             return {}
         core, config, decision, noise = now.core, self.config, now.decision, state.noise
@@ -276,7 +252,7 @@ class Fusion:
         if config.learn:
             if decision.hypothesis in NOISE_HYPOTHESES:
                 noise.add_ranges(decision.t_us, ranges.satellites, weights, ranges.normalised)
-            ranges.scale_rates(noise)
+            noise.scale_rates(ranges.satellites, ranges.rate_sigma_mps)
         graph.attach_ranges(graph.node.epoch, ranges, weights)
         given = zip(ranges.satellites, weights.tolist(), strict=True)
         used = {name: weight for name, weight in given if weight > 0.0}
@@ -298,12 +274,8 @@ class Fusion:
         try:
             if isinstance(sample, Epoch):
                 self._late_epoch(graph, sample, core, state)
-            elif (
-                source is not None
-                and source not in state.isolated
-                and state.sensor_factors is not None
-            ):
-                state.sensor_factors.attach(sample, None)
+            elif source is not None and source not in state.isolated:
+                SensorFactors(graph, self.config).attach(sample, None)
         except SOLVER_ERRORS as error:
             state.graph = None
             state.notes.append(f"the graph failed ({_first_line(error)})")
@@ -323,7 +295,7 @@ class Fusion:
         x = navigation_state(graph.frame, node, core.motion.x[X_ISB:])
         ranges = EpochRanges(observation, x, core, self.config, self.detector, sample.t_us)
         if self.config.learn:
-            ranges.scale_rates(state.noise)
+            state.noise.scale_rates(ranges.satellites, ranges.rate_sigma_mps)
         weights = ranges.residual_weights(state.excluded)
         graph.attach_ranges(node.epoch, ranges, weights)
         graph.commit()

@@ -173,5 +173,4 @@ class FactorWindow:
 
     def covariance(self, names: list[int]) -> Vector:
         """Joint marginal covariance of some variables."""
-        result: Vector = self.smoother.getISAM2().jointMarginalCovariance(names).fullMatrix()
-        return result
+        return np.asarray(self.smoother.getISAM2().jointMarginalCovariance(names).fullMatrix())

@@ -141,8 +141,7 @@ class Pipeline:
 
     def push(self, samples: Sample | Block) -> list[Result]:
         """The results of a block of samples, or of a single one."""
-        block = samples if isinstance(samples, Block) else block_of(samples)
-        return [result for _, result in self.push_rows(block)]
+        return [result for _, result in self.push_rows(block_of(samples))]
 
     def push_rows(self, block: Block) -> list[tuple[int, Result]]:
         """The results of a block, each with the row of the block that led to it."""
@@ -154,7 +153,7 @@ class Pipeline:
             found += rows
         tumble_us = track_tumble(block, self._tumble)
         results = drop_log_gaps(self._filtered(block, found, tumble_us), self._lost_us)
-        errors, self._attitude_state = self._attitude.step_rows(block, self._attitude_state)
+        errors, self._attitude_state = self._attitude.step(block, self._attitude_state)
         results += [*found, *errors]
         # By row, so that results do not depend on how the stream was cut into blocks.
         results.sort(key=itemgetter(0))
@@ -174,11 +173,11 @@ class Pipeline:
             return []
         until = np.maximum(hold_out_until(block, found, self._held_out_us), tumble_us)
         self._held_out_us = int(until[-1])
-        rows = trusted_rows(block, until)
-        used = block if rows is None else block.where(np.isin(np.arange(len(until)), rows))
+        trusted = trusted_rows(block, until)
+        used = block if trusted.all() else block.where(trusted)
         results, self.states[FILTER] = self._filter.step(used, self.states[FILTER])
-        if rows is not None:
-            results = [(int(rows[row]), result) for row, result in results]
+        rows = np.flatnonzero(trusted)
+        results = [(int(rows[row]), result) for row, result in results]
         paused = np.full(len(until), NEVER_US)
         if self._pauses is not None:
             paused = track_pauses(block, self._pauses)

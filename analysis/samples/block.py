@@ -139,8 +139,10 @@ class Block(NamedTuple):
         return Block(self.kind[keep], self.t_us[keep], self.values[keep], beside)
 
 
-def block_of(samples: Sample | Iterable[Sample]) -> Block:
-    """Convert samples to a block."""
+def block_of(samples: Sample | Iterable[Sample] | Block) -> Block:
+    """Convert samples to a block; a block stays as it is."""
+    if isinstance(samples, Block):
+        return samples
     # A lone sample is the common case on a live link.
     listed: Sequence[Sample] = (samples,) if isinstance(samples, Sample) else tuple(samples)
     count = len(listed)
@@ -231,7 +233,7 @@ class BlockSlice(NamedTuple):
 
 def split_at_events(samples: Sample | Block) -> Iterator[BlockSlice]:
     """Split a block, or a single sample, after each event."""
-    block = samples if isinstance(samples, Block) else block_of(samples)
+    block = block_of(samples)
     imu, ends, mags, cuts = _find_slices(block.kind)
     run = ImuRun(block.t_us[imu], block.values[imu, :IMU_ID])
     # A block nearly always comes from one IMU; then no rows need to be selected.

@@ -7,6 +7,7 @@ sums at the full rate of the estimates for the scores, the first error of each b
 Invalid IMU, magnetometer and airspeed samples (NaN, 1e20) are not passed to estimators.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, NamedTuple
@@ -31,7 +32,6 @@ from analysis.samples.block import (
     Block,
     Indices,
     Stamps,
-    block_of,
 )
 from analysis.samples.sample import IMU_VALUE_LIMIT, Sample, TruthSample, Vector
 from analysis.scoring.attitude_kernel import ScoredEstimates, score_estimates
@@ -117,17 +117,10 @@ class AttitudeScorer:
         return ScorerState()
 
     def step(
-        self, samples: Sample | Block, state: ScorerState
-    ) -> tuple[list[AttitudeError], ScorerState]:
-        """Score a block of samples, or a single one; returns errors thinned to `rate_hz`."""
-        block = samples if isinstance(samples, Block) else block_of(samples)
-        errors, state = self.step_rows(block, state)
-        return [error for _, error in errors], state
-
-    def step_rows(
         self, block: Block, state: ScorerState
     ) -> tuple[list[tuple[int, AttitudeError]], ScorerState]:
-        """Like `step`, with the row of the block that completed each error."""
+        """Score a block of samples: the errors thinned to `rate_hz`, each with the row of the block
+        that completed it, and the next state."""
         truths = block.rows(TRUTH)
         begin = -1
         if state.t0_us is None:
@@ -139,14 +132,8 @@ class AttitudeScorer:
         truth_us = np.concatenate([state.truth_us, block.t_us[truths]])
         truth = np.concatenate([state.truth, block.values.take(truths, axis=0)])
         truth_row = np.concatenate([np.full(len(state.truth_us), -1), truths])
-        scored, waiting, oldest = score_estimates(
-            truth_row,
-            truth_us,
-            truth,
-            estimates.row,
-            estimates.t_us,
-            estimates.q_nb,
-        )
+        of_estimates = estimates.row, estimates.t_us, estimates.q_nb
+        scored, waiting, oldest = score_estimates(truth_row, truth_us, truth, *of_estimates)
         # The newest; the truth for older ones is no longer kept.
         waiting = waiting[-MAX_WAITING:]
         state.waiting = estimates.at(waiting)._replace(row=np.full(len(waiting), -1))
@@ -157,18 +144,13 @@ class AttitudeScorer:
     def _start(self, sample: Sample, state: ScorerState) -> None:
         assert isinstance(sample, TruthSample)
         state.t0_us = sample.t_us
-        prior = Prior(
-            sample.t_us,
-            sample.q_nb,
-            sample.v_ned_mps,
-            declination_rad=self._declination_rad(sample),
-        )
+        place = sample.lat_deg, sample.lon_deg, sample.alt_m
+        if self.config.declination_deg is None:
+            declination = declination_rad(*place, sample.t_us)
+        else:
+            declination = math.radians(self.config.declination_deg)
+        prior = Prior(sample.t_us, sample.q_nb, sample.v_ned_mps, declination_rad=declination)
         state.estimators = {name: e.start(prior) for name, e in self._estimators.items()}
-
-    def _declination_rad(self, sample: TruthSample) -> float:
-        if self.config.declination_deg is not None:
-            return float(np.radians(self.config.declination_deg))
-        return declination_rad(sample.lat_deg, sample.lon_deg, sample.alt_m, sample.t_us)
 
     def _estimates(self, block: Block, begin: int, state: ScorerState) -> Estimates:
         """Waiting estimates and the block's estimates after row `begin`, in order."""

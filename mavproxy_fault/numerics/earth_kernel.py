@@ -34,3 +34,9 @@ def ned_axes(lat_rad: float, lon_rad: float) -> Vector:
     out[1, 0], out[1, 1] = -so, co
     out[2, 0], out[2, 1], out[2, 2] = -cl * co, -cl * so, -sl
     return out
+
+
+def local_axes(r_ecef_m: Vector) -> Vector:
+    """Return `ned_axes` (3, 3) at an ECEF position (3,) [m]."""
+    lat_rad, lon_rad, _ = geodetic_position(r_ecef_m)
+    return ned_axes(lat_rad, lon_rad)

@@ -5,11 +5,7 @@ It reports every second while all actuators respond, and every half second while
 
 from typing import ClassVar
 
-from analysis.detection.actuators.actuator_hypotheses import (
-    DETECTION_SCORE,
-    LOAD,
-    PITOT,
-)
+from analysis.detection.actuators.actuator_hypotheses import DETECTION_SCORE, LOAD, PITOT
 from analysis.detection.actuators.actuator_response import (
     BY_FIRST_FIX,
     ELEVATOR,
@@ -40,19 +36,15 @@ class ActuatorDetector(BlockDetector, frozen=True):
         if state is None:
             if not (block.kind == COMMAND).any():
                 return [], None
-            state = _initial_state(self.effects)
+            effects = self.effects
+            ground_mps = BY_FIRST_FIX if ELEVATOR in effects.names else FLYING_SPEED_MPS
+            bins, model = MotionBins(effects.lags_s), initial_motion_model(effects)
+            state = ActuatorResponse(bins, model, effects.disturbance(), ground_mps)
         names = dict(enumerate(self.effects.names)) | {LOAD: "load", PITOT: "airspeed"}
         return [
             (verdict.row, _result(verdict, [names[n] for n in verdict.isolated if n in names]))
             for verdict in state.add_block(block)
         ], state
-
-
-def _initial_state(effects: Effects) -> ActuatorResponse:
-    """The state when the first command comes."""
-    ground_mps = BY_FIRST_FIX if ELEVATOR in effects.names else FLYING_SPEED_MPS
-    bins, model = MotionBins(effects.lags_s), initial_motion_model(effects)
-    return ActuatorResponse(bins, model, effects.disturbance(), ground_mps)
 
 
 def _result(verdict: ActuatorVerdict, isolated: list[str]) -> SensorDecision:

@@ -4,11 +4,12 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 from msgspec.structs import replace
+from numpy.typing import NDArray
 
 from analysis.detection.detector_registry import ENDED_US
 from analysis.detection.streams.pause_filter import AFTER_PAUSE_US, IMU_SILENT
 from analysis.results import Result, SensorDecision
-from analysis.samples.block import IMU, Block, Indices, Stamps
+from analysis.samples.block import IMU, Block, Stamps
 
 STREAM_SILENT = "silent for"  # prefix of the reason of a silent stream
 HELD_OUT = "the IMU is held out: other detectors found it faulty"
@@ -27,10 +28,9 @@ def hold_out_until(
     return until
 
 
-def trusted_rows(block: Block, until: Stamps) -> Indices | None:
-    """The rows that the filter may use; None for all of them."""
-    held_out = (block.kind == IMU) & (block.t_us < until)
-    return np.flatnonzero(~held_out) if held_out.any() else None
+def trusted_rows(block: Block, until: Stamps) -> NDArray[np.bool_]:
+    """Mask (n,) of the rows that the filter may use."""
+    return np.asarray((block.kind != IMU) | (block.t_us >= until))
 
 
 def withdraw_silence(

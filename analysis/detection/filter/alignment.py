@@ -30,7 +30,7 @@ from analysis.detection.filter.propagation import ImuSegment
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
-from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.earth_kernel import local_axes
 from mavproxy_fault.numerics.rotations.rotation import quat_from_matrix
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_attitude, rotation_matrix
 
@@ -143,8 +143,7 @@ def _lost(motion: MotionEstimate) -> bool:
     # No axis is less certain than all three together: the usual epoch ends here.
     if p[0, 0] + p[1, 1] + p[2, 2] < LOST_TILT_RAD**2:
         return False
-    lat, lon, _ = geodetic_position(motion.x[0:3])
-    level = ned_axes(lat, lon)[:2]
+    level = local_axes(motion.x[0:3])[:2]
     return bool(np.linalg.eigvalsh(level @ p @ level.T)[1] >= LOST_TILT_RAD**2)
 
 
@@ -154,9 +153,9 @@ def _mag_pair(alignment: Alignment, motion: MotionEstimate, mag_b: Vector) -> tu
     up = alignment.alpha / np.linalg.norm(alignment.alpha)
     field = rotation_matrix(alignment.q_0b) @ mag_b
     level = field - (field @ up) * up
-    lat, lon, _ = geodetic_position(motion.x[0:3])
+    north = local_axes(motion.x[0:3])[0]
     # A field straight along the vertical has no horizontal direction: no division by zero.
-    return level / max(float(np.linalg.norm(level)), 1e-9), ned_axes(lat, lon)[0]
+    return level / max(float(np.linalg.norm(level)), 1e-9), north
 
 
 def align_attitude(

@@ -12,7 +12,6 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.detection.values import Value
 from analysis.orbits.broadcast import (
@@ -25,6 +24,7 @@ from analysis.orbits.broadcast import (
     packed_for_carrier,
     satellite_states,
 )
+from analysis.samples.block import Indices
 from analysis.samples.sample import (
     EphemerisSample,
     Epoch,
@@ -35,7 +35,6 @@ from analysis.samples.sample import (
 )
 from mavproxy_fault.numerics.constants import L1_HZ
 
-Indices = NDArray[np.int64]
 StoredOrbit = tuple[Orbit, Vector]  # an ephemeris and its packed numbers
 StoredOrbits = dict[str, tuple[StoredOrbit, ...]]  # by satellite, in the order of their times
 RESELECT_S = 60.0  # a selection holds for one such part of the week

@@ -1,32 +1,38 @@
-"""Parameters of the detection filter and of the measurements it uses."""
+"""Parameters of the detection filter, of the measurements it uses and of its tests."""
 
 import math
 from functools import cached_property
 from typing import Annotated
 
+import msgspec
 import numpy as np
 from msgspec import Meta
 
 from analysis.detection.filter.process_noise import ProcessNoise
 from analysis.detection.filter.range_noise import SigmaModel
-from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.orbits.broadcast import SYSTEMS, TYPICAL_ALPHA, TYPICAL_BETA
 from analysis.samples.sample import Vector
 
 Seconds = Annotated[float, Meta(ge=0, le=1e6)]
+Probability = Annotated[float, Meta(gt=0, lt=0.5)]
 Axes = tuple[float, float, float]
 Klobuchar = tuple[float, float, float, float, float, float, float, float]
 
 
-class FilterConfig(FalseAlarmRates, frozen=True, kw_only=True, dict=True):
-    """What the filter uses, and the noise it assumes.
+class FilterConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
+    """What the filter uses, the noise it assumes, and the false-alarm probabilities of its tests.
 
+    Each is per GNSS epoch: `p_false_alarm` is that of the main test F00, `p_slow` that of the tests
+    with memory, `p_other` that of the Doppler rates and of the other sensors.
     `systems` are the first letters of the systems in use: GPS, Galileo, GLONASS (R), BeiDou (C),
     QZSS (J). `antenna_b_m` is the lever arm from IMU to antenna in body axes, `mask_deg` the lowest
     elevation used, `doppler` whether rates are used, `gap_s` the longest IMU gap that is bridged.
     `ionosphere` holds Klobuchar's coefficients until some are received.
     """
 
+    p_false_alarm: Probability = 1e-4
+    p_slow: Probability = 1e-4
+    p_other: Probability = 1e-5
     systems: str = "GE"
     antenna_b_m: Axes = (0.0, 0.0, 0.0)
     mask_deg: Annotated[float, Meta(ge=0, lt=90)] = 10.0

@@ -13,15 +13,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import DRIFT, PSI, X_BG, X_Q, V
+from analysis.samples.block import Indices
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import invert_positive_definite, multiply_matrices
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_in_reference
 
-Indices = NDArray[np.int64]
 RATE_STATES = np.array([V, V + 1, V + 2, DRIFT])
 VAGUE_INFORMATION = 1e-4  # 1/m^2, 100 m: of what no measurement observes
 # Measurements for each state: a snapshot of fewer follows lasting errors further than the filter.
@@ -203,9 +203,24 @@ def reduce_covariance(
     return out, (after, fit), moved
 
 
-def measurement_update(
-    x: Vector, p: Vector, normal: NormalEquations
-) -> tuple[Vector, Vector, Vector, Vector]:
-    """State x (21,) and covariance p (20, 20) after measurements, P+_:c T (20, c), and dx (20,)."""
-    p, (after, _), moved = reduce_covariance(p, normal)
-    return add_error(x, moved), p, after, moved
+class EpochUpdate(NamedTuple):
+    """The filter after an epoch, the ranges and rates that it used, and P+_:c T (20, c) and F
+    (c, c) of each."""
+
+    motion: MotionEstimate
+    ranges: NormalEquations
+    after_ranges: tuple[Vector, Vector]
+    rates: NormalEquations
+    after_rates: tuple[Vector, Vector]
+
+
+def update_filter(
+    motion: MotionEstimate, ranges: NormalEquations, rates: NormalEquations
+) -> EpochUpdate:
+    """The filter after some ranges and rates, both with innovations against `motion`."""
+    p, after_ranges, moved = reduce_covariance(motion.p, ranges)
+    # The ranges have moved the state that the rates were predicted for.
+    rates = rates._replace(b=rates.b - rates.information @ moved[RATE_STATES])
+    p, after_rates, moved_again = reduce_covariance(p, rates)
+    motion = motion._replace(x=add_error(add_error(motion.x, moved), moved_again), p=p)
+    return EpochUpdate(motion, ranges, after_ranges, rates, after_rates)

@@ -84,5 +84,4 @@ def lasting_position_covariance(a: Vector, weight: Vector, lasts: Vector) -> Vec
     """S L S' (3, 3) along the axes of A (n, c), with weights and lasting variances (n,), in m^2."""
     cofactor = snapshot_cofactor(a, weight, VAGUE_INFORMATION)
     response = cofactor[:AXES] @ (a.T * weight)
-    covariance: Vector = (response * lasts) @ response.T
-    return covariance
+    return np.asarray((response * lasts) @ response.T)

@@ -1,7 +1,8 @@
 """The usable measurements of an epoch, and their innovations against a state of the filter."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from analysis.detection.filter.inertial import (
     X_DRIFT,
     X_ISB,
 )
+from analysis.detection.filter.information import NormalEquations, normal_equations
 from analysis.detection.filter.range_noise import SigmaModel, SigmaNumbers, range_variance
 from analysis.detection.values import Value
 from analysis.orbits.broadcast import (
@@ -30,10 +32,10 @@ from analysis.orbits.broadcast import (
     predict_ranges,
     satellite_states,
 )
+from analysis.samples.block import Indices
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.numerics.compile import compiled
 
-Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 # Klobuchar's; the element behind them is the factor by which their error exceeds broadcast ones'
 KLOBUCHAR_COEFFICIENTS = 8
@@ -81,15 +83,10 @@ class EpochObservation(Value, frozen=True):
 
     def select(self, keep: Mask) -> "EpochObservation":
         """The satellites that the mask `keep` (n,) selects."""
-        names, m = zip(self.satellites, keep.tolist(), strict=True), self.measurements
-        selected = m._replace(
-            packed=m.packed[keep],
-            pseudorange_m=m.pseudorange_m[keep],
-            doppler_mps=m.doppler_mps[keep],
-            cn0_dbhz=m.cn0_dbhz[keep],
-            system=m.system[keep],
-        )
-        return EpochObservation(tuple(name for name, kept in names if kept), selected)
+        m = self.measurements
+        *columns, _, _ = m._fields  # week and time are the receiver's
+        selected = m._replace(**{name: getattr(m, name)[keep] for name in columns})
+        return EpochObservation(tuple(compress(self.satellites, keep)), selected)
 
 
 class Innovations(NamedTuple):
@@ -113,6 +110,14 @@ class Innovations(NamedTuple):
     def select(self, keep: Mask) -> "Innovations":
         """The satellites that the mask `keep` (n,) selects."""
         return Innovations(*(column[keep] for column in self))
+
+    def without(self, rows: Sequence[int]) -> "Innovations":
+        """The satellites but those in some rows."""
+        return self.select(~np.isin(np.arange(len(self.range_m)), rows))
+
+    def equations(self) -> NormalEquations:
+        """The normal equations of the ranges."""
+        return normal_equations(self.geometry, self.variance, self.range_m, self.white)
 
 
 def systems_in_use(geometry: Vector) -> Vector:
@@ -169,10 +174,7 @@ def compare_with_prediction(
     # Coefficients that were not broadcast err by more: as if there were more delay to model.
     if len(ionosphere) > KLOBUCHAR_COEFFICIENTS:
         table[-1] *= ionosphere[KLOBUCHAR_COEFFICIENTS]
-    range_m, rate_mps, variance, rate_variance, white, elevation_rad, ionosphere_m = table
-    return Innovations(
-        range_m, rate_mps, variance, rate_variance, white, elevation_rad, ionosphere_m, geometry
-    )
+    return Innovations._make((*table, geometry))
 
 
 @compiled

@@ -1,15 +1,31 @@
-"""The filter from one epoch to the next: by the IMU where it is usable, freely otherwise."""
+"""The filter from one epoch to the next: by the IMU where it is usable, freely otherwise.
+
+The filter's position and velocity are the antenna's at every epoch; in between the IMU propagates
+it at its own position (docs/fdi.md, "Filter"; Groves, Principles of GNSS, Inertial and Multisensor
+Integrated Navigation, 2nd ed., 14.3.1).
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.filter.antenna import shift_by_lever_arm
 from analysis.detection.filter.filter_config import FilterConfig
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.inertial import PSI, propagate_freely, propagate_inertial
+from analysis.detection.filter.inertial import (
+    BG,
+    ERROR_SIZE,
+    PSI,
+    X_BG,
+    X_Q,
+    R,
+    V,
+    propagate_freely,
+    propagate_inertial,
+)
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import IMU_VALUE_LIMIT, Vector
+from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
+from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 PENDING_MAX = 40_000  # samples between two epochs, 200 s at 200 Hz; older ones are dropped
 NO_RUN = ImuRun(np.empty(0, np.int64), np.empty((0, 6)))
@@ -84,16 +100,16 @@ def propagate_filter(
     dt_s = (until_us - motion.t_us) * 1e-6
     noise = config.noise
     complete = segment.gap_s <= config.gap_s and len(segment.samples) > 0
-    if motion.inertial and complete and config.antenna is None:
-        x, p, phi = propagate_inertial(motion.x, motion.p, segment.samples, noise)
+    if motion.inertial and complete:
+        samples, arm, x, p = segment.samples, config.antenna, motion.x, motion.p
+        if arm is None:
+            x, p, phi = propagate_inertial(x, p, samples, noise)
+        else:  # the filter's position is the antenna's, the IMU measures at its own: there and back
+            x, p, back = shift_by_lever_arm(x, p, samples[0, 1:4], arm, -1.0)
+            x, p, phi = propagate_inertial(x, p, samples, noise)
+            x, p, out = shift_by_lever_arm(x, p, samples[-1, 1:4], arm, 1.0)
+            phi = out @ phi @ back
         return MotionEstimate(until_us, x, p, True), phi
-    # The filter's position is the antenna's, the IMU measures at its own: there and back.
-    if motion.inertial and complete and config.antenna is not None:
-        first, last, arm = segment.samples[0, 1:4], segment.samples[-1, 1:4], config.antenna
-        x, p, back = shift_by_lever_arm(motion.x, motion.p, first, arm, -1.0)
-        x, p, phi = propagate_inertial(x, p, segment.samples, noise)
-        x, p, out = shift_by_lever_arm(x, p, last, arm, 1.0)
-        return MotionEstimate(until_us, x, p, True), out @ phi @ back
     x, p, phi = propagate_freely(motion.x, motion.p, dt_s, noise)
     # Over a short silence the attitude is still known, but less well.
     inertial = motion.inertial and segment.gap_s <= SHORT_GAP_S and segment.any_sample
@@ -102,3 +118,36 @@ def propagate_filter(
     # A gap breaks the integrals of an alignment.
     alignment = motion.alignment if complete and not motion.inertial else None
     return MotionEstimate(until_us, x, p, inertial, alignment), phi
+
+
+def shift_by_lever_arm(
+    x: Vector, p: Vector, gyro_b_rps: Vector, arm_b_m: Vector, sign: float
+) -> tuple[Vector, Vector, Vector]:
+    """State and covariance at the antenna (sign 1) of those at the IMU, or back (-1).
+
+    Parameters
+    ----------
+    x, p : (21,) and (20, 20)
+    gyro_b_rps, arm_b_m : (3,), the gyro's reading and the arm from IMU to antenna
+
+    Returns
+    -------
+    x, p and the matrix (20, 20) that turns the errors of the one into those of the other.
+    """
+    c = rotation_matrix(x[X_Q : X_Q + 4])
+    # The Earth's rotation seen in body axes is the last row of C times its rate.
+    turning = gyro_b_rps - x[X_BG : X_BG + 3] - GNSS_EARTH_RATE_RPS * c[2]
+    arm, speed = c @ arm_b_m, c @ np.cross(turning, arm_b_m)
+    jacobian = np.eye(ERROR_SIZE)
+    jacobian[R : R + 3, PSI : PSI + 3] = -sign * cross_matrix(arm)
+    jacobian[V : V + 3, PSI : PSI + 3] = -sign * cross_matrix(speed)
+    jacobian[V : V + 3, BG : BG + 3] = sign * c @ cross_matrix(arm_b_m)
+    x = x.copy()
+    x[R : R + 3] += sign * arm
+    x[V : V + 3] += sign * speed
+    return x, jacobian @ p @ jacobian.T, jacobian
+
+
+def cross_matrix(v: Vector) -> Vector:
+    """[v]x (3, 3)."""
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])

@@ -59,11 +59,9 @@ class SigmaModel(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     @cached_property
     def numbers(self) -> SigmaNumbers:
         """The terms that the kernels need."""
-        terms = self.scale, self.floor_m, self.zenith_m, self.thermal_m, self.rate_mps
-        scale, floor, zenith, thermal, rate, lasting, *systems = map(
-            float, (*terms, self.lasting_s, *self.systems)
-        )
-        return SigmaNumbers(scale, floor, zenith, thermal, rate, lasting, tuple(systems))
+        *names, _ = SigmaNumbers._fields
+        terms = {name: float(getattr(self, name)) for name in names}
+        return SigmaNumbers(**terms, systems=tuple(map(float, self.systems)))
 
 
 @compiled

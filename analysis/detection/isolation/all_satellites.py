@@ -8,14 +8,12 @@ as no vehicle can is `gps` too. docs/fdi.md has the rules.
 
 import numpy as np
 
-from analysis.detection.filter.covariance_release import free_position, free_system_clocks
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import CLOCK
 from analysis.detection.filter.information import NO_RATES
 from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
 from analysis.detection.isolation.epoch_statistics import EpochStatistics
-from analysis.detection.isolation.range_test import RangeVerdict
-from analysis.detection.isolation.rate_test import RateVerdict
+from analysis.detection.isolation.epoch_tests import RangeVerdict, RateVerdict
 from analysis.detection.isolation.trust import TRUSTED_DOF, Trust, awaited_confirmation
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.samples.block import ImuRun
@@ -115,15 +113,8 @@ def reject_all(
 ) -> RangeVerdict:
     """The ranges' verdict where all satellites are wrong: nothing of the epoch is used, or only
     what is `usable` all the same."""
-    return ranges._replace(
-        motion=motion,
-        hypothesis="gps",
-        alarm=True,
-        faulty=(),
-        usable=usable,
-        prediction_freed=True,
-        whole_system=False,
-    )
+    changes = {"hypothesis": "gps", "alarm": True, "faulty": (), "whole_system": False}
+    return ranges._replace(motion=motion, usable=usable, prediction_freed=True, **changes)
 
 
 def common_jump_m(
@@ -149,13 +140,6 @@ def common_jump_m(
     uncertain_m = JUMP_SIGMAS * np.sqrt(np.trace(motion.p[:3, :3]))
     most_m = JUMP_M + 0.5 * JUMP_MPS2 * dt_s**2 + uncertain_m
     return shift_m if np.linalg.norm(shift_m) > most_m else None
-
-
-def follow_jump(
-    ranges: RangeVerdict, motion: MotionEstimate, innovations: Innovations
-) -> RangeVerdict:
-    """The verdict on satellites that jumped together: all are used, and the filter follows."""
-    return reject_all(free_system_clocks(free_position(motion)), ranges, innovations)
 
 
 def accumulated_jump_m(so_far_m: Vector | None, shift_m: Vector | None) -> Vector | None:

@@ -7,10 +7,10 @@ then decides, at this epoch and the following ones.
 
 from typing import NamedTuple
 
+from analysis.detection.filter.filter_config import FilterConfig
 from analysis.detection.filter.information import NormalEquations, covariance_block
 from analysis.detection.receiver.carry_off_windows import FIRST_WEIGHT
 from analysis.detection.statistics.chi_square import chi_square_threshold
-from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.linear import invert_positive_definite
 
@@ -39,20 +39,20 @@ def shift_statistic(p: Vector, rates: NormalEquations) -> float:
     return float(off @ invert_positive_definite(total) @ off)
 
 
-def shift_stands_out(known: CommonShift, statistic: float, config: FalseAlarmRates) -> bool:
+def shift_stands_out(known: CommonShift, statistic: float, config: FilterConfig) -> bool:
     """Whether the statistic of an epoch exceeds this flight's noise."""
     return statistic > known.level * chi_square_threshold(SHIFT_DOF, config.p_other)
 
 
 def shift_is_suspected(
-    known: CommonShift, statistic: float, t_us: int, config: FalseAlarmRates
+    known: CommonShift, statistic: float, t_us: int, config: FilterConfig
 ) -> bool:
     """Whether all satellites are suspected, by the statistic of this epoch or of an earlier one."""
     return t_us < known.suspected_until_us or shift_stands_out(known, statistic, config)
 
 
 def update_common_shift(
-    known: CommonShift, statistic: float, t_us: int, config: FalseAlarmRates
+    known: CommonShift, statistic: float, t_us: int, config: FilterConfig
 ) -> CommonShift:
     """The level and suspicion after an epoch whose tests passed."""
     if shift_stands_out(known, statistic, config):

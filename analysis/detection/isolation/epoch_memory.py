@@ -48,8 +48,7 @@ def frozen_offsets_m(
         # Nothing is frozen in most flights: no dictionary is searched then.
         return np.zeros(len(names))
     remaining = _remaining(frozen, t_us, config)
-    result: Vector = remaining * np.array([known.get(name, 0.0) for name in names])
-    return result
+    return np.asarray(remaining * np.array([known.get(name, 0.0) for name in names]))
 
 
 def _remaining(frozen: FrozenOffsets, t_us: int, config: FilterConfig) -> float:

@@ -119,10 +119,8 @@ def readmit_satellites(
         v_m, lasting = innovations.range_m.item(i), innovations.lasting.item(i)
         count, mean_m, square_m2 = entry.seen
         count += 1
-        mean_m, square_m2 = (
-            mean_m + (v_m - mean_m) / count,
-            square_m2 + (v_m**2 - square_m2) / count,
-        )
+        mean_m += (v_m - mean_m) / count
+        square_m2 += (v_m**2 - square_m2) / count
         entry = replace(entry, seen=(count, mean_m, square_m2))
         since = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
         # A break restarts the wait, and so does an epoch from before the fault was found.

@@ -3,7 +3,7 @@
 import numpy as np
 
 from analysis.detection.filter.inertial import ERROR_SIZE
-from analysis.detection.isolation.constellations import PENALTY
+from analysis.detection.isolation.hypotheses import PENALTY
 from analysis.detection.isolation.isolation_config import IsolationConfig
 from analysis.detection.isolation.ramp_windows import (
     STRIDE_S,
@@ -102,16 +102,15 @@ def _rearranged(ramps: RampBank, names: tuple[str, ...], most: Vector) -> RampWi
 
 def _renewed(windows: RampWindows, t_us: int) -> RampWindows:
     """The windows with the oldest restarted."""
-    starts_us, d, sums = windows.starts_us.copy(), windows.d.copy(), windows.sums.copy()
-    c, j = windows.c.copy(), windows.j.copy()
-    offsets, spreads = windows.offsets.copy(), windows.spreads.copy()
+    copies = {name: column.copy() for name, column in windows._asdict().items()}
+    windows = windows._replace(**copies)
     # A window that has not started has stamp 0, so it is the oldest.
-    oldest = int(starts_us.argmin())
-    starts_us[oldest] = t_us
-    d[:, oldest] = sums[:, oldest] = c[oldest] = j[oldest] = 0.0
-    offsets[oldest], spreads[oldest] = windows.offset, windows.spread
-    now = windows.offset, windows.spread, offsets, spreads
-    return RampWindows(starts_us, d, sums, c, j, *now)
+    oldest = int(windows.starts_us.argmin())
+    windows.starts_us[oldest] = t_us
+    windows.d[:, oldest] = windows.sums[:, oldest] = 0.0
+    windows.c[oldest] = windows.j[oldest] = 0.0
+    windows.offsets[oldest], windows.spreads[oldest] = windows.offset, windows.spread
+    return windows
 
 
 def evaluate_ramps(

@@ -14,14 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.detection.filter.epoch_update import EpochUpdate
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import R, V
-from analysis.detection.filter.information import Indices, NormalEquations, covariance_block
+from analysis.detection.filter.information import EpochUpdate, NormalEquations, covariance_block
 from analysis.detection.filter.lasting_errors import INDEPENDENT_AFTER_S
 from analysis.detection.filter.range_noise import SigmaModel
 from analysis.detection.isolation.isolation_config import IsolationConfig
 from analysis.detection.statistics.bank import cholesky_reduction
+from analysis.samples.block import Indices
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 

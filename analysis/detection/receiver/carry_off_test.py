@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.filter_config import FilterConfig
 from analysis.detection.filter.propagation import ImuSegment
 from analysis.detection.receiver.carry_off_windows import (
     CarryOff,
@@ -16,48 +16,40 @@ from analysis.detection.receiver.carry_off_windows import (
 )
 from analysis.detection.receiver.position_test import (
     VELOCITY_SIGMA_MPS,
-    FixMeasurement,
-    FixTest,
+    AssessedFix,
     known_or_zero,
 )
 from analysis.detection.receiver.receiver_or_imu import mean_force
 from analysis.detection.receiver.receiver_state import LastFix, ReceiverState
 from analysis.detection.statistics.chi_square import chi_square_threshold
-from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
 
 # From fix to fix: half of gravity, as by a tilt of 0.5 rad. A harder impact that the IMU overstates
 # would be a carry-off.
 IMPACT_MPS2 = 5.0
-Tests = tuple[FixTest, FixTest | None]  # of a fix's position, and of its velocity if known
 
 
 def detect_carry_off(
-    receiver: ReceiverState,
-    prediction: tuple[MotionEstimate, MotionEstimate, Vector],
-    segment: ImuSegment,
-    measurement: FixMeasurement,
-    tests: Tests,
-    is_trusted: bool,
-    config: FalseAlarmRates,
+    receiver: ReceiverState, assessed: AssessedFix, is_trusted: bool, config: FilterConfig
 ) -> tuple[ReceiverState, CarryOffDetection | None, Vector | None]:
     """The windows' verdict after a fix: a receiver that is carried off, or a wrong acceleration
-    (3,). The windows restart after any other detection.
-
-    `prediction` is the filter at the last fix and, moved by the IMU's `segment`, at this one, and
-    the transition phi (20, 20) in between; `is_trusted` says that nothing is excluded.
+    (3,). The windows restart after any other detection; `is_trusted` says that nothing is excluded.
     """
-    (position, velocity), (before, motion, phi) = tests, prediction
-    v_ned_mps = measurement.v_ned_mps
+    before, motion, segment = assessed.before, assessed.motion, assessed.segment
+    v_ned_mps = assessed.measurement.v_ned_mps
     moved = motion.inertial and before.inertial and is_trusted
-    if v_ned_mps is None or velocity is None:
-        return receiver._replace(windows=None), None, None
-    if not (moved and position.passes and velocity.passes):
+    if v_ned_mps is None or assessed.velocity is None or not (moved and assessed.passes):
         return receiver._replace(windows=None), None, None
     windows = receiver.windows if receiver.windows is not None else new_windows(motion.t_us)
     dt_s = (motion.t_us - before.t_us) * 1e-6
-    fix = fix_innovation(measurement, position, velocity, motion.p)
-    windows = extend_windows(windows, motion.t_us, dt_s, phi, measurement.axes, fix)
+    windows = extend_windows(
+        windows,
+        motion.t_us,
+        dt_s,
+        assessed.transition,
+        assessed.measurement.axes,
+        fix_innovation(assessed),
+    )
     if receiver.scatter.shaken_us == motion.t_us or _shows_impact(receiver.last_fix, segment):
         windows = windows._replace(doubt_us=motion.t_us, impact_us=motion.t_us)
     found = wrong_mps2 = None
@@ -85,24 +77,19 @@ def _shows_impact(last: LastFix | None, segment: ImuSegment) -> bool:
     return float(np.linalg.norm(force - last.forces_b_mps2[0])) > IMPACT_MPS2
 
 
-def estimate_carry_off(
-    last: LastFix | None, measurement: FixMeasurement, velocity: FixTest | None
-) -> CarryOff | None:
+def estimate_carry_off(last: LastFix | None, fix: AssessedFix) -> CarryOff | None:
     """How a receiver that is left out now is carried off, where its velocity shows it."""
-    if measurement.v_ned_mps is None or velocity is None or velocity.passes or last is None:
+    v_ned_mps, velocity = fix.measurement.v_ned_mps, fix.velocity
+    if v_ned_mps is None or velocity is None or velocity.passes or last is None:
         return None
     u_ned_mps = np.zeros(3)
-    u_ned_mps[np.isfinite(measurement.v_ned_mps)] = velocity.v
+    u_ned_mps[np.isfinite(v_ned_mps)] = velocity.v
     return CarryOff(last.t_us, u_ned_mps)
 
 
-def is_still_carried_off(
-    carry_off: CarryOff | None, measurement: FixMeasurement, tests: Tests, motion: MotionEstimate
-) -> bool:
+def is_still_carried_off(carry_off: CarryOff | None, fix: AssessedFix) -> bool:
     """Whether an excluded receiver continues its carry-off: without it the filter is too
     uncertain."""
-    position, velocity = tests
-    if carry_off is None or velocity is None:
+    if carry_off is None or fix.velocity is None:
         return False
-    fix = fix_innovation(measurement, position, velocity, motion.p)
-    return fits_carry_off(carry_off, motion.t_us, fix)
+    return fits_carry_off(carry_off, fix.motion.t_us, fix_innovation(fix))

@@ -11,8 +11,9 @@ import numpy as np
 
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import ERROR_SIZE, PSI, V
-from analysis.detection.filter.information import Indices, add_error
-from analysis.detection.receiver.position_test import FixMeasurement, FixTest
+from analysis.detection.filter.information import add_error
+from analysis.detection.receiver.position_test import AssessedFix
+from analysis.samples.block import Indices
 from analysis.samples.sample import Vector
 
 WINDOW_COUNT = 20  # 4 s of fixes at 5 Hz
@@ -90,14 +91,14 @@ def new_windows(t_us: int) -> CarryOffWindows:
     return CarryOffWindows(t_us, np.zeros(w, np.int64), d, c, j, np.ones(w), np.ones(6))
 
 
-def fix_innovation(
-    fix: FixMeasurement, position: FixTest, velocity: FixTest, p: Vector
-) -> FixInnovation:
-    """A fix whose position and velocity were tested before the covariance p (20, 20)."""
-    assert fix.v_ned_mps is not None
-    rows = np.concatenate((POSITION_ROWS, 3 + np.flatnonzero(np.isfinite(fix.v_ned_mps))))
+def fix_innovation(fix: AssessedFix) -> FixInnovation:
+    """A fix whose position and velocity were tested."""
+    position, velocity, v_ned_mps = fix.position, fix.velocity, fix.measurement.v_ned_mps
+    assert velocity is not None
+    assert v_ned_mps is not None
+    rows = np.concatenate((POSITION_ROWS, 3 + np.flatnonzero(np.isfinite(v_ned_mps))))
     h = np.concatenate((position.h, velocity.h))
-    cross = p @ h.T
+    cross = fix.motion.p @ h.T
     variance = np.concatenate((position.variance, velocity.variance))
     m = np.asarray(np.linalg.inv(h @ cross + np.diag(variance)), dtype=float)
     return FixInnovation(np.concatenate((position.v, velocity.v)), rows, h, m, cross @ m)

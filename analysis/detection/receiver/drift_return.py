@@ -7,12 +7,10 @@ from a drift").
 
 import numpy as np
 
-from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.receiver.carry_off_windows import NATURAL_MPS
 from analysis.detection.receiver.position_test import FixMeasurement
 from analysis.detection.receiver.receiver_state import DriftTrack, LastFix
 from analysis.detection.statistics.chi_square import chi_square_threshold
-from analysis.samples.sample import Vector
 
 MARK_US, MARK_COUNT = 5_000_000, 12  # means of 25 fixes at 5 Hz: a fifth of the noise; a minute
 NATURAL_S = 1.0  # correlation of a healthy velocity's slow errors: a receiver's own filter
@@ -51,10 +49,3 @@ def has_returned(before: DriftTrack, now: DriftTrack, fix: FixMeasurement, t_us:
         if q <= healthy and q_before > q + LEAST_LEAD:
             return True
     return False
-
-
-def release_position(motion: MotionEstimate, jump_m: Vector) -> MotionEstimate:
-    """The filter with its position as uncertain as a jump (3,) is long; the rest is kept."""
-    p = motion.p.copy()
-    p[range(3), range(3)] += float(jump_m @ jump_m)
-    return motion._replace(p=p)

@@ -47,8 +47,9 @@ class Latency(NamedTuple):
         """The derivative of the reported velocity by the latency: the acceleration (3,) then."""
         sigma_s = self.sigma_s
         first, last = max(self.seconds - sigma_s, 0.0), self.seconds + sigma_s
-        slope: Vector = (self.velocity_change(last) - self.velocity_change(first)) / (last - first)
-        return slope
+        return np.asarray(
+            (self.velocity_change(last) - self.velocity_change(first)) / (last - first)
+        )
 
 
 def initial_latency(source: str) -> Latency:
@@ -61,8 +62,7 @@ def mean_acceleration(before: MotionEstimate, predicted: MotionEstimate, axes: V
     if not (before.inertial and predicted.inertial):
         return np.zeros(3)
     dt_s = (predicted.t_us - before.t_us) * 1e-6
-    acceleration: Vector = axes @ (predicted.x[3:6] - before.x[3:6]) / dt_s
-    return acceleration
+    return np.asarray(axes @ (predicted.x[3:6] - before.x[3:6]) / dt_s)
 
 
 def append_interval(latency: Latency, dt_s: float, acceleration_mps2: Vector) -> Latency:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from analysis.detection.filter.filter_config import FilterConfig
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import (
     CLOCK,
@@ -16,12 +17,13 @@ from analysis.detection.filter.inertial import (
     set_unknown_attitude,
 )
 from analysis.detection.filter.information import (
+    add_error,
     innovation_statistic,
-    measurement_update,
     normal_equations,
+    reduce_covariance,
 )
+from analysis.detection.filter.propagation import ImuSegment
 from analysis.detection.statistics.chi_square import chi_square_threshold
-from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.block import FIX_3D
 from analysis.samples.sample import GpsFix, Vector
 from mavproxy_fault.numerics.earth import ecef_of
@@ -58,9 +60,37 @@ class FixTest(NamedTuple):
     variance: Vector
 
     @property
+    def dof(self) -> int:
+        """How many components are tested."""
+        return len(self.v)
+
+    @property
     def passes(self) -> bool:
         """Whether the fix fits the prediction."""
         return self.statistic <= self.threshold
+
+
+class AssessedFix(NamedTuple):
+    """A fix before any verdict: the filter `before`, at the last fix, and `motion`, moved here by
+    the IMU's `segment` with a transition (20, 20), and the tests of position and known velocity."""
+
+    measurement: FixMeasurement
+    before: MotionEstimate
+    motion: MotionEstimate
+    transition: Vector
+    segment: ImuSegment
+    position: FixTest
+    velocity: FixTest | None
+
+    @property
+    def passes(self) -> bool:
+        """Whether position and velocity fit the prediction."""
+        return self.position.passes and (self.velocity is None or self.velocity.passes)
+
+    def with_motion(self, motion: MotionEstimate, config: FilterConfig) -> "AssessedFix":
+        """The fix tested with another state of the filter."""
+        position, velocity = run_fix_tests(self.measurement, motion, config)
+        return self._replace(motion=motion, position=position, velocity=velocity)
 
 
 def fix_measurement(fix: GpsFix) -> tuple[FixMeasurement | None, str]:
@@ -85,7 +115,7 @@ def fix_measurement(fix: GpsFix) -> tuple[FixMeasurement | None, str]:
 
 
 def run_fix_tests(
-    fix: FixMeasurement, motion: MotionEstimate, config: FalseAlarmRates
+    fix: FixMeasurement, motion: MotionEstimate, config: FilterConfig
 ) -> tuple[FixTest, FixTest | None]:
     """Test the position, and the velocity if known, with the prediction."""
     h = np.zeros((3, ERROR_SIZE))
@@ -114,10 +144,9 @@ def _fix_test(p: Vector, v: Vector, h: Vector, variance: Vector, p_false_alarm: 
 
 def update_with_fix(motion: MotionEstimate, part: FixTest) -> MotionEstimate:
     """Return the filter updated with the part of the fix that a test used."""
-    x, p, *_ = measurement_update(
-        motion.x, motion.p, normal_equations(part.h, part.variance, part.v, part.variance)
-    )
-    return motion._replace(x=x, p=p)
+    normal = normal_equations(part.h, part.variance, part.v, part.variance)
+    p, _, moved = reduce_covariance(motion.p, normal)
+    return motion._replace(x=add_error(motion.x, moved), p=p)
 
 
 def known_or_zero(v: Vector) -> Vector:

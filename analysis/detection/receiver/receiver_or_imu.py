@@ -7,17 +7,16 @@ ranges".
 
 import numpy as np
 
+from analysis.detection.filter.filter_config import FilterConfig
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.propagation import ImuSegment
 from analysis.detection.receiver.position_test import (
     VELOCITY_SIGMA_MPS,
-    FixMeasurement,
-    FixTest,
+    AssessedFix,
     known_or_zero,
 )
 from analysis.detection.receiver.receiver_state import LastFix
 from analysis.detection.statistics.chi_square import chi_square_threshold
-from analysis.detection.statistics.false_alarm_rates import FalseAlarmRates
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
@@ -29,13 +28,12 @@ INTERVALS, HISTORY_INTERVALS = 3, 6
 FORCE = slice(4, 7)  # columns of the specific force in the IMU's segment, after time and rates
 
 
-def new_last_fix(
-    before: LastFix | None, measurement: FixMeasurement, segment: ImuSegment, motion: MotionEstimate
-) -> LastFix:
+def new_last_fix(before: LastFix | None, fix: AssessedFix, motion: MotionEstimate) -> LastFix:
     """The data of the fix that the next one needs; `motion` is the filter after it."""
+    measurement = fix.measurement
     velocity = np.full(3, np.nan) if measurement.v_ned_mps is None else measurement.v_ned_mps
     off = known_or_zero(velocity - measurement.axes @ motion.x[3:6])
-    force = mean_force(segment)
+    force = mean_force(fix.segment)
     past = () if before is None else before.forces_b_mps2[: HISTORY_INTERVALS - 1]
     forces = () if force is None else (force, *past)
     return LastFix(motion.t_us, measurement.r_ecef_m, velocity, forces, off)
@@ -60,24 +58,17 @@ def unexplained_square(
     return float(remaining @ remaining)
 
 
-def isolate_receiver_or_imu(
-    last: LastFix | None,
-    measurement: FixMeasurement,
-    predicted: MotionEstimate,
-    velocity: FixTest,
-    segment: ImuSegment,
-    config: FalseAlarmRates,
-) -> str:
-    """`imu`, `gps` or `GPS-or-imu`, for a receiver that is consistent, but not with the IMU.
-
-    `velocity` is the failed test, `segment` the IMU since the last fix, which led to `predicted`.
-    """
-    force = mean_force(segment)
-    if last is None or force is None or not last.forces_b_mps2 or measurement.v_ned_mps is None:
+def isolate_receiver_or_imu(last: LastFix | None, fix: AssessedFix, config: FilterConfig) -> str:
+    """`imu`, `gps` or `GPS-or-imu`, for a receiver that is consistent, but not with the IMU: the
+    test of its velocity has failed."""
+    force, measurement, velocity = mean_force(fix.segment), fix.measurement, fix.velocity
+    if last is None or force is None or not last.forces_b_mps2:
+        return UNDECIDED
+    if measurement.v_ned_mps is None or velocity is None:
         return UNDECIDED
     known = np.isfinite(measurement.v_ned_mps)
-    dt_s = (predicted.t_us - last.t_us) * 1e-6
-    rot = measurement.axes @ rotation_matrix(predicted.x[6:10])
+    dt_s = (fix.motion.t_us - last.t_us) * 1e-6
+    rot = measurement.axes @ rotation_matrix(fix.motion.x[6:10])
     sigma_mps = np.array([VELOCITY_SIGMA_MPS[0], *VELOCITY_SIGMA_MPS])[known]
     for since, before in enumerate(last.forces_b_mps2[:INTERVALS], start=1):
         changed_mps = (rot @ (force - before) * dt_s)[known]
@@ -90,19 +81,13 @@ def isolate_receiver_or_imu(
     return "gps" if grown_mps > excused_mps else UNDECIDED
 
 
-def isolate_acceleration_fault(
-    last: LastFix | None,
-    wrong_mps2: Vector,
-    measurement: FixMeasurement,
-    predicted: MotionEstimate,
-    segment: ImuSegment,
-) -> str:
+def isolate_acceleration_fault(last: LastFix | None, wrong_mps2: Vector, fix: AssessedFix) -> str:
     """`imu` or `GPS-or-imu`, for a wrong acceleration (3,) of the filter and a receiver that is
     consistent with itself: the IMU, if its force changed by that within the last intervals."""
-    force = mean_force(segment)
+    force = mean_force(fix.segment)
     if last is None or force is None:
         return UNDECIDED
-    rot = measurement.axes @ rotation_matrix(predicted.x[6:10])
+    rot = fix.measurement.axes @ rotation_matrix(fix.motion.x[6:10])
     limit_mps2 = ALIKE_SHARE * float(np.linalg.norm(wrong_mps2))
     changes = [rot @ (force - before) for before in last.forces_b_mps2]
     similar = [float(np.linalg.norm(change - wrong_mps2)) <= limit_mps2 for change in changes]

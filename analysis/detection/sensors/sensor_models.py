@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.detection.filter.filter_state import MotionEstimate
+from analysis.detection.filter.propagation import cross_matrix
 from analysis.samples.block import FIX_3D, FIX_TYPE, FIX_VELOCITY
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
@@ -123,7 +124,7 @@ def _mag(z: Vector, at: FilterView, b: Vector | None, late_s: float, sigma: floa
         return "the field is not finite"
     v = at.rot @ z[:3]
     # A small rotation moves the field by its cross product: the attitude's uncertainty.
-    cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+    cross = cross_matrix(v)
     # The turn between the sample and the state, about any axis.
     turned_sq = (late_s * at.turning_rps) ** 2 * (v @ v)
     r = cross @ at.p_attitude @ cross.T + (sigma**2 + turned_sq) * np.eye(3)

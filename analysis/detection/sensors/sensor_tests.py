@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
-from analysis.detection.detector import Detector, step_pieces
+from analysis.detection.detector import Detector, EventDetector
 from analysis.detection.detector_state import DetectorState
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.sensors.sensor_models import (
@@ -36,10 +36,9 @@ from analysis.samples.block import (
     NEVER_US,
     RANGE,
     VISION,
-    Block,
     BlockSlice,
 )
-from analysis.samples.sample import Sample, Vector
+from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.linear import invert_positive_definite
 
 FAILS_TO_ISOLATE = 3  # failures in a row: one outlier isolates no sensor, p_other^3 is 1e-15
@@ -126,7 +125,7 @@ class NavigationState:
 
 
 @dataclass(frozen=True)
-class NavigationDetector:
+class NavigationDetector(EventDetector[NavigationState]):
     """The detector, and the tests of the other sensors with its filter."""
 
     config: DetectorConfig = field(default_factory=DetectorConfig)
@@ -136,20 +135,10 @@ class NavigationDetector:
         """The detector whose filter is the reference."""
         return Detector(self.config)
 
-    @cached_property
-    def _thresholds(self) -> list[float]:
-        return [0.0, *(chi_square_threshold(dof, self.config.p_other) for dof in (1, 2, 3))]
-
     def new_state(self) -> NavigationState:
         """No sample has come yet."""
         sensors = {name: SensorState(model.sigma**2) for name, model in MODELS.items()}
         return NavigationState(self.detector.new_state(), SensorStates(sensors))
-
-    def step(
-        self, samples: Sample | Block, state: NavigationState
-    ) -> tuple[list[Result], NavigationState]:
-        """The results of a block of samples, or a single one, and the next state."""
-        return step_pieces(self.step_piece, samples, state)
 
     def step_piece(
         self, piece: BlockSlice, state: NavigationState
@@ -215,7 +204,7 @@ class NavigationDetector:
             state.slow, state.begun_us = outcome, epoch_us
             return None
         tested = _test_innovation(outcome, slow, model.walk**2 * elapsed_s)
-        threshold = self._thresholds[len(outcome[0])]
+        threshold = chi_square_threshold(len(outcome.v), self.config.p_other)
         if not tested.statistic <= threshold and state.settled is not None:
             outcome = model.innovation(state.z, view, state.settled.b, late_s, sigma)
             assert not isinstance(outcome, str | SlowStates)

@@ -4,6 +4,7 @@ Where a receiver has set its clock the prediction follows; where other satellite
 the last epoch their learned offsets are frozen.
 """
 
+import itertools
 import math
 
 import numpy as np
@@ -17,7 +18,6 @@ from analysis.detection.filter.measurement import (
     NO_INNOVATIONS,
     EpochObservation,
     Innovations,
-    Mask,
     predict_innovations,
 )
 from analysis.detection.isolation.epoch_memory import (
@@ -102,14 +102,17 @@ def compare(
     found = found._replace(range_m=found.range_m - offset_m)
     # Not `<`, so that a satellite of unknown elevation counts as below.
     above = found.elevation_rad >= config.mask_rad
-    out: tuple[tuple[str, ...], Innovations] = (), NO_INNOVATIONS
+    out: tuple[str, ...] = ()
+    found_out = NO_INNOVATIONS
     if excluded or not above.all():
         # Excluded satellites have innovations too: they earn their readmission by these.
         outside = np.array([name in excluded for name in names])
-        out = _select(names, found, above & outside)
-        names, found = _select(names, found, above & ~outside)
+        (out, found_out), (names, found) = (
+            (tuple(itertools.compress(names, keep)), found.select(keep))
+            for keep in (above & outside, above & ~outside)
+        )
     lasting_s = config.sigma.lasting_s
-    ranges = normal_equations(found.geometry, found.variance, found.range_m, found.white)
+    ranges = found.equations()
     if len(ranges.white):
         # By as much as lasting errors have changed since; other satellites have others.
         others = memory.ramps is not None and memory.ramps.names != names
@@ -118,7 +121,7 @@ def compare(
         p[observed] += changed * lasting_covariance(ranges)
         prediction = prediction._replace(motion=motion._replace(p=p))
     statistics = compute_statistics(found, ranges, prediction.motion.p)
-    return Assessment(prediction, memory, names, found, *out, statistics)
+    return Assessment(prediction, memory, names, found, out, found_out, statistics)
 
 
 def _limit_frozen(memory: EpochMemory, assessment: Assessment, config: FilterConfig) -> EpochMemory:
@@ -134,13 +137,6 @@ def _limit_frozen(memory: EpochMemory, assessment: Assessment, config: FilterCon
     share = math.sqrt(limit / moved)
     offsets_m = {name: share * offset_m for name, offset_m in memory.frozen.offsets_m.items()}
     return memory._replace(frozen=memory.frozen._replace(offsets_m=offsets_m))
-
-
-def _select(
-    names: tuple[str, ...], innovations: Innovations, keep: Mask
-) -> tuple[tuple[str, ...], Innovations]:
-    """The satellites that the mask `keep` (n,) selects, and their innovations."""
-    return tuple(names[i] for i in keep.nonzero()[0].tolist()), innovations.select(keep)
 
 
 def _clock_jump_m(assessment: Assessment) -> float:

@@ -10,9 +10,8 @@ from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore
 from analysis.detection.filter.alignment import align_attitude
 from analysis.detection.filter.covariance_release import free_position
-from analysis.detection.filter.epoch_update import update_filter
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.information import normal_equations
+from analysis.detection.filter.information import update_filter
 from analysis.detection.filter.lasting_errors import VarianceFactor
 from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
 from analysis.detection.isolation.all_satellites import (
@@ -21,11 +20,7 @@ from analysis.detection.isolation.all_satellites import (
     next_distrust,
     unbounded_reason,
 )
-from analysis.detection.isolation.common_shift import (
-    CommonShift,
-    update_common_shift,
-)
-from analysis.detection.isolation.constellations import SYSTEMS_CONTRADICT
+from analysis.detection.isolation.common_shift import update_common_shift
 from analysis.detection.isolation.epoch_memory import (
     EpochMemory,
     add_frozen,
@@ -39,18 +34,20 @@ from analysis.detection.isolation.exclusion import (
     innovations_of_excluded,
     readmit_satellites,
 )
+from analysis.detection.isolation.hypotheses import SYSTEMS_CONTRADICT
 from analysis.detection.isolation.trust import LEAST_START_DOF, Trust
 from analysis.detection.protection_levels import PositionBounds, bound_position
 from analysis.detection.receiver.receiver_or_imu import UNDECIDED
 from analysis.detection.stages.assess import Assessment
 from analysis.detection.stages.epoch_outcome import (
     EpochOutcome,
+    EpochVerdict,
+    FilterUpdate,
     TestedEpoch,
     reported_hypothesis,
     update_suspension,
 )
 from analysis.detection.stages.imu_or_satellites import is_coasting
-from analysis.detection.stages.isolate import EpochVerdict, FilterUpdate
 
 RATE_FAULT_EPOCHS = 3  # in a row, before a wrong rate alone is reported: one may be noise
 
@@ -90,7 +87,11 @@ def commit(
         ramps = ramps.without_accelerations()
     contradicting = trust.contradicting
     factor, bounds = _bound_position(assessment, verdict, memory, motion, contradicting, config)
-    shift = _update_common_shift(assessment, verdict, config)
+    shift = memory.common_shift  # the usual level of the velocity that all rates share
+    if verdict.has_passed(assessment, config.doppler):
+        shift = update_common_shift(shift, verdict.shift, t_us, config)
+    else:  # a test failed, or there is no IMU
+        shift = shift._replace(suspected_until_us=0)
     memory = memory._replace(ramps=ramps, variance_factor=factor, common_shift=shift)
     timing = core.timing._replace(ranges_us=t_us)
     core = core._replace(motion=motion, imu=imu, trust=trust, memory=memory, timing=timing)
@@ -120,10 +121,7 @@ def _update(
     memory, ranges = assessment.memory, verdict.ranges
     if verdict.update is not None:
         return verdict.update, memory
-    normal = normal_equations(
-        ranges.usable.geometry, ranges.usable.variance, ranges.usable.range_m, ranges.usable.white
-    )
-    motion = update_filter(ranges.motion, normal, verdict.rates.usable).motion
+    motion = update_filter(ranges.motion, ranges.usable.equations(), verdict.rates.usable).motion
     # Offsets learned while a whole system moves are its shift, not offsets of satellites.
     if not ranges.whole_system:
         memory = freeze_offsets(memory, motion.t_us, config)
@@ -185,16 +183,6 @@ def _confirms_start(assessment: Assessment, verdict: EpochVerdict) -> bool:
     return rates.dof > 4 or assessment.statistics.parity_dof >= LEAST_START_DOF
 
 
-def _update_common_shift(
-    assessment: Assessment, verdict: EpochVerdict, config: DetectorConfig
-) -> CommonShift:
-    """The usual level of the velocity shift that all rates share, after the epoch."""
-    known, t_us = assessment.memory.common_shift, assessment.prediction.motion.t_us
-    if not verdict.has_passed(assessment, config.doppler):
-        return known._replace(suspected_until_us=0)  # a test failed, or there is no IMU
-    return update_common_shift(known, verdict.shift, t_us, config)
-
-
 def _give_up(core: DetectorCore, t_us: int, config: DetectorConfig) -> DetectorCore:
     """The core without its filter where nothing has explained the ranges for too long."""
     trust = core.trust
@@ -243,15 +231,9 @@ def _bound_position(
     names, innovations = assessment.satellites, assessment.innovations
     faulty, parity, dof = verdict.ranges.faulty, statistics.parity, statistics.parity_dof
     if faulty:
-        keep = np.ones(len(names), dtype=bool)
-        keep[list(faulty)] = False
         names = tuple(name for i, name in enumerate(names) if i not in faulty)
-        # The verdict has selected their rows already, less their learned offsets.
-        innovations = verdict.ranges.usable._replace(range_m=innovations.range_m[keep])
-        normal = normal_equations(
-            innovations.geometry, innovations.variance, innovations.range_m, innovations.white
-        )
-        parity, dof, _ = parity_test(normal)
+        innovations = innovations.without(faulty)
+        parity, dof, _ = parity_test(innovations.equations())
     since_us = motion.t_us - prediction.before.t_us
     factor = memory.variance_factor.with_epoch(parity, dof, since_us * 1e-6)
     moved_m = motion.x[:3] - prediction.motion.x[:3]

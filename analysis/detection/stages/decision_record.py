@@ -1,8 +1,10 @@
-"""The results of an epoch, as `analysis.results` has them."""
+"""The results of an epoch, or of a receiver's own fix, as `analysis.results` has them."""
 
 import math
 from collections.abc import Iterable
 from typing import Any
+
+import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore
@@ -10,15 +12,23 @@ from analysis.detection.filter.filter_state import ImuStatus, MotionEstimate
 from analysis.detection.filter.measurement import EpochObservation
 from analysis.detection.filter.propagation import is_silent
 from analysis.detection.isolation.all_satellites import unbounded_reason
-from analysis.detection.isolation.constellations import ONE_FOLLOWED
-from analysis.detection.isolation.rate_test import RateVerdict
+from analysis.detection.isolation.epoch_tests import RateVerdict
+from analysis.detection.isolation.hypotheses import ONE_FOLLOWED
 from analysis.detection.protection_levels import LARGEST_LEVEL_M, PositionBounds, level_assumptions
+from analysis.detection.receiver.position_test import AssessedFix, FixTest
 from analysis.detection.stages.epoch_outcome import TestedEpoch, reported_hypothesis
 from analysis.detection.stages.initial_fix import InitialFix
 from analysis.detection.statistics.chi_square import chi_square_threshold, p_value
 from analysis.detection.streams.pause_filter import IMU_SILENT
 from analysis.results import Decision, Result, SensorDecision
-from analysis.samples.sample import Epoch
+from analysis.samples.sample import Epoch, GpsFix
+
+RECEIVER = "GPS"  # the receiver's name among the exclusions
+LASTING_SHARE = 0.6  # of a receiver's error that lasts for minutes: no filter averages it out
+UNBOUNDED_REASON = (
+    "the receiver or the IMU is faulty: the position follows the receiver, its error is unbounded"
+)
+EXCLUDED_REASON = "the receiver is excluded: the position is the IMU's alone, without a bound"
 
 
 def build_decision(
@@ -53,7 +63,7 @@ def build_decision(
         # The newest onset: older exclusions have been reported before.
         onset_us=max(onsets, default=None),
         probabilities=dict(ranges.probabilities),
-        position_ecef_m=_position(motion) if motion is not None else None,
+        position_ecef_m=position_of(motion) if motion is not None else None,
         **_uncertainty(None if tested.unbounded else motion, bounds),
         **_levels(bounds, used),
         reason=tested.unbounded or ONE_FOLLOWED * bool(contradicting),
@@ -85,7 +95,7 @@ def build_start_decision(
         excluded=tuple(sorted(trust.excluded)),
         unused=_unused(core),
         satellites=observation.satellites,
-        position_ecef_m=_position(motion),
+        position_ecef_m=position_of(motion),
         **_uncertainty(None if unbounded else motion, bounds),
         **_levels(bounds, observation.satellites),
         mode="start",
@@ -110,7 +120,8 @@ def imu_results(
     # Silence is reported even without rates to test.
     if not prediction.before.inertial or (rates.statistic is None and not faulty):
         return []
-    return [_rate_decision(epoch, rates, "imu", faulty, f"{IMU_SILENT} {gap_s:.2f} s" * silent)]
+    reason = f"{IMU_SILENT} {gap_s:.2f} s" * silent
+    return [sensor_decision(epoch.t_us, "imu", rates, faulty, faulty, reason)]
 
 
 def rate_results(epoch: Epoch, tested: TestedEpoch) -> list[Result]:
@@ -118,23 +129,30 @@ def rate_results(epoch: Epoch, tested: TestedEpoch) -> list[Result]:
     not used, their ranges are."""
     rates, reason = tested.verdict.rates, "its Doppler rate is wrong, its range is not"
     return [
-        _rate_decision(epoch, rates, "satellites", True, reason, name)
+        sensor_decision(epoch.t_us, "satellites", rates, True, True, reason, name)
         for name in tested.rate_faulty
     ]
 
 
-def _rate_decision(
-    epoch: Epoch, rates: RateVerdict, sensor: str, faulty: bool, reason: str, suspect: str = ""
+def sensor_decision(
+    t_us: int,
+    sensor: str,
+    test: RateVerdict | FixTest | None,
+    alarm: bool,
+    isolated: bool,
+    reason: str = "",
+    suspect: str = "",
 ) -> SensorDecision:
+    """The decision on a sensor by a test; None if there was nothing to test."""
     return SensorDecision(
-        t_us=epoch.t_us,
+        t_us=t_us,
         sensor=sensor,
         suspect=suspect,
-        statistic=rates.statistic,
-        threshold=rates.threshold,
-        dof=rates.dof,
-        alarm=faulty,
-        isolated=faulty,
+        statistic=test.statistic if test else None,
+        threshold=test.threshold if test else None,
+        dof=test.dof if test else 0,
+        alarm=alarm,
+        isolated=isolated,
         reason=reason,
     )
 
@@ -153,7 +171,8 @@ def _unused(core: DetectorCore) -> dict[str, str]:
     return {**(known.unused if known is not None else {}), **why}
 
 
-def _position(motion: MotionEstimate) -> tuple[float, float, float]:
+def position_of(motion: MotionEstimate) -> tuple[float, float, float]:
+    """The filter's position, ECEF."""
     x = motion.x
     return x.item(0), x.item(1), x.item(2)
 
@@ -183,3 +202,67 @@ def _levels(bounds: PositionBounds | None, names: Iterable[str]) -> dict[str, An
 def _level(level_m: float) -> float | None:
     """A protection level as reported; None where there is none."""
     return round(level_m, 3) if level_m < LARGEST_LEVEL_M else None
+
+
+def build_fix_decision(
+    fix: GpsFix,
+    core: DetectorCore,
+    position: FixTest | None,
+    hypothesis: str,
+    alarm: bool,
+    mode: str,
+) -> Decision:
+    """The decision on one fix; `position` is None where the filter starts with it."""
+    motion = core.motion
+    assert motion is not None
+    sigma = np.sqrt(np.diag(motion.p)[:3])
+    reason = UNBOUNDED_REASON if core.trust.unbounded else ""
+    # Once the position is less certain than a fix, a fault of the IMU would go undetected.
+    if RECEIVER in core.trust.excluded and position and sigma @ sigma > position.variance.sum():
+        reason = EXCLUDED_REASON
+    if position is not None:
+        sigma = np.sqrt(
+            sigma**2 + LASTING_SHARE**2 * (position.h[:, :3] ** 2).T @ position.variance
+        )
+    return Decision(
+        t_us=fix.t_us,
+        statistic=position.statistic if position else None,
+        threshold=position.threshold if position else None,
+        # Three components of the position.
+        dof=3 if position else 0,
+        p_value=p_value(position.statistic, 3) if position else None,
+        alarm=alarm,
+        hypothesis=hypothesis,
+        excluded=tuple(sorted(core.trust.excluded)),
+        position_ecef_m=position_of(motion),
+        position_sigma_m=None if reason else (float(sigma[0]), float(sigma[1]), float(sigma[2])),
+        reason=reason,
+        residual_m=tuple(position.v.tolist()) if position else (),
+        mode=mode,
+    )
+
+
+def fix_sensor_decisions(
+    fix: GpsFix,
+    core: DetectorCore,
+    assessed: AssessedFix,
+    gap_s: float,
+    hypothesis: str,
+    config: DetectorConfig,
+) -> list[Result]:
+    """The decisions on the receiver as a sensor, and on a faulty or silent IMU."""
+    # An excluded receiver is isolated for every test that still fails.
+    isolated = hypothesis == "gps" or RECEIVER in core.trust.excluded
+    tests = {"gps-position": assessed.position, "gps-velocity": assessed.velocity}
+    results: list[Result] = [
+        sensor_decision(fix.t_us, sensor, test, not test.passes, isolated and not test.passes)
+        for sensor, test in tests.items()
+        if test is not None
+    ]
+    silent = is_silent(gap_s, core.imu.interval_s, config)
+    if silent or hypothesis == "imu":
+        reason = f"{IMU_SILENT} {gap_s:.2f} s" if silent else ""
+        # Silent: there was nothing to test.
+        test = None if silent else assessed.velocity
+        results.append(sensor_decision(fix.t_us, "imu", test, True, True, reason))
+    return results

@@ -1,15 +1,60 @@
 """The detector's findings at one epoch, before they become a result."""
 
 from analysis.detection.detector_state import DetectorCore
-from analysis.detection.filter.filter_state import ImuStatus
+from analysis.detection.filter.filter_state import ImuStatus, MotionEstimate
+from analysis.detection.isolation.epoch_statistics import LEAST_RATES
+from analysis.detection.isolation.epoch_tests import RangeVerdict, RateVerdict
 from analysis.detection.isolation.exclusion import NONE_EXCLUDED, ExcludedInnovations
 from analysis.detection.isolation.isolation_config import IsolationConfig
+from analysis.detection.isolation.ramp_test import RampBank, RampVerdict
 from analysis.detection.isolation.trust import Trust
 from analysis.detection.protection_levels import PositionBounds
+from analysis.detection.receiver.carry_off_windows import CarryOff
 from analysis.detection.receiver.receiver_or_imu import UNDECIDED
 from analysis.detection.stages.assess import Assessment
-from analysis.detection.stages.isolate import EpochVerdict
 from analysis.detection.values import Value
+from analysis.samples.sample import Vector
+
+
+class FilterUpdate(Value, frozen=True):
+    """The filter after the epoch, with its ramp tests and their verdict (None: they restart)."""
+
+    motion: MotionEstimate
+    ramps: RampBank | None = None
+    verdict: RampVerdict | None = None
+
+
+class EpochVerdict(Value, frozen=True):
+    """The joint verdict of the tests of an epoch.
+
+    `source` is the faulty source where `rates` or `ranges` isolate the IMU: the IMU itself, or
+    undecided. `jump_m` (3,) is how far all satellites have jumped, `carry_off` how they carry the
+    filter off, `shift` the statistic of the velocity that all rates share. `update` is the filter
+    after the epoch; where it is None, the usable innovations are still to be used.
+    """
+
+    rates: RateVerdict
+    ranges: RangeVerdict
+    source: str = "imu"
+    carry_off: CarryOff | None = None
+    jump_m: Vector | None = None
+    shift: float = 0.0
+    update: FilterUpdate | None = None
+
+    @property
+    def ramps(self) -> RampVerdict | None:
+        """The verdict of the ramp tests; None where they were not made."""
+        return self.update.verdict if self.update is not None else None
+
+    def has_passed(self, assessment: Assessment, doppler: bool) -> bool:
+        """Whether an epoch that the IMU has predicted passed every test, with rates to compare."""
+        ramps = self.ramps
+        if ramps is None or {ramps.hypothesis, self.rates.hypothesis, self.ranges.hypothesis} != {
+            "none"
+        }:
+            return False
+        known = doppler and assessment.statistics.rate_count >= LEAST_RATES
+        return known and assessment.prediction.before.inertial and self.ranges.motion.inertial
 
 
 class TestedEpoch(Value, frozen=True):

@@ -13,9 +13,9 @@ from analysis.detection.filter.covariance_release import free_clock, free_positi
 from analysis.detection.filter.information import NO_RATES
 from analysis.detection.filter.measurement import systems_in_use
 from analysis.detection.isolation.all_satellites import position_shift
-from analysis.detection.isolation.constellations import LEAST_MOVED
+from analysis.detection.isolation.hypotheses import LEAST_MOVED
 from analysis.detection.stages.assess import Assessment
-from analysis.detection.stages.isolate import EpochVerdict
+from analysis.detection.stages.epoch_outcome import EpochVerdict
 from analysis.samples.sample import Vector
 
 LEAST_STEADY_US = 5_000_000  # in each half of the history: its velocity is then known to 1 m/s
@@ -42,12 +42,10 @@ def follow_one_system(
     if not off_m:
         return verdict
     others = min(off_m, key=lambda rows: off_m[rows])
-    keep = np.ones(len(innovations.range_m), dtype=bool)
-    keep[list(others)] = False
     ranges = ranges._replace(
         motion=free_position(free_clock(motion)),
         faulty=others,
-        usable=innovations.select(keep),
+        usable=innovations.without(others),
         prediction_freed=True,
     )
     # Their rates may be as wrong as the ranges.
@@ -65,5 +63,4 @@ def _expected_position(history: Sequence[EpochRecord], t_us: int) -> Vector | No
     if min(middle.t_us - first.t_us, t_us - middle.t_us) < LEAST_STEADY_US:
         return None
     share = (t_us - middle.t_us) / (middle.t_us - first.t_us)
-    expected_m: Vector = middle.x[:3] + share * (middle.x[:3] - first.x[:3])
-    return expected_m
+    return np.asarray(middle.x[:3] + share * (middle.x[:3] - first.x[:3]))

@@ -24,8 +24,6 @@ from analysis.detection.isolation.all_satellites import (
     velocity_shift,
 )
 from analysis.detection.isolation.epoch_statistics import LEAST_RATES
-from analysis.detection.isolation.range_test import RangeVerdict
-from analysis.detection.isolation.rate_test import RateVerdict
 from analysis.detection.receiver.carry_off_windows import (
     LEAST_RATIO_LEAD,
     CarryOff,
@@ -48,10 +46,11 @@ from analysis.detection.receiver.receiver_or_imu import (
     unexplained_square,
 )
 from analysis.detection.stages.assess import Assessment, compare
+from analysis.detection.stages.epoch_outcome import EpochVerdict
 from analysis.detection.stages.predict import predict
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.samples.sample import Vector
-from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.numerics.earth_kernel import local_axes
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotation_matrix
 
 LIKELIER = 5.0  # by which an IMU, which fails more often than all satellites, must explain more
@@ -68,71 +67,42 @@ class EpochFix(NamedTuple):
     fix: FixInnovation | None
 
 
-class SourceVerdict(NamedTuple):
-    """The verdicts of rates and ranges; the faulty source where they isolate the IMU (`imu`, or
-    undecided), or where both are `gps`; and how the satellites carry the filter off."""
-
-    rates: RateVerdict
-    ranges: RangeVerdict
-    source: str = "imu"
-    carry_off: CarryOff | None = None
-
-
-class RepeatedTests(NamedTuple):
-    """Carry-off windows over the last seconds; whether the IMU's own force explains the last
-    epoch."""
-
-    windows: CarryOffWindows
-    explained_by_force: bool
-
-
 def isolate_source(
     assessment: Assessment,
     excluded_for: CarryOff | None,
     history: Sequence[EpochRecord],
-    rates: RateVerdict,
-    ranges: RangeVerdict,
+    verdict: EpochVerdict,
     config: DetectorConfig,
-) -> SourceVerdict:
-    """The verdicts on an epoch that an IMU has predicted, after every test that can be made.
+) -> EpochVerdict:
+    """The verdict on an epoch that an IMU has predicted, after every test that can be made.
 
     `excluded_for` is the carry-off for which all satellites are excluded already.
     """
-    motion = assessment.prediction.motion
-    if ranges.hypothesis == "gps":
-        return SourceVerdict(rates, ranges, "gps", _carry_off_now(assessment))
+    motion, ranges = assessment.prediction.motion, verdict.ranges
+    by_gps = ranges.hypothesis == "gps"
+    fix = _with_fix(assessment).fix if by_gps or excluded_for is not None else None
+    if by_gps:  # how far the satellites are from the filter now, and the rate of that
+        carried = None if fix is None else CarryOff(motion.t_us, fix.v[3:], fix.v[:3])
+        return verdict._replace(source="gps", carry_off=carried)
     # First: satellites known to be wrong contradict the IMU at every epoch.
-    stays_excluded = _stays_excluded(excluded_for, assessment)
-    if "imu" in (rates.hypothesis, ranges.hypothesis) and not stays_excluded:
-        source, detection = isolate_imu_or_satellites(history, assessment, config)
-        if detection is None:
-            return SourceVerdict(rates, ranges, source)
-        return reject_carried_off(detection, motion, rates, ranges)
-    if not stays_excluded:
-        return SourceVerdict(rates, ranges)
-    return SourceVerdict(_reject_rates(rates), reject_all(motion, ranges), "gps", excluded_for)
+    if excluded_for and fix and fits_carry_off(excluded_for, motion.t_us, fix):
+        return reject_satellites(verdict, motion, excluded_for)
+    if "imu" not in (verdict.rates.hypothesis, ranges.hypothesis):
+        return verdict
+    source, detection = isolate_imu_or_satellites(history, assessment, config)
+    if detection is None:
+        return verdict._replace(source=source)
+    return reject_satellites(verdict, remove_carry_off(motion, detection), detection.carried)
 
 
-def _stays_excluded(excluded_for: CarryOff | None, assessment: Assessment) -> bool:
-    """Whether satellites that were excluded all together lie where they carried the filter."""
-    if excluded_for is None:
-        return False
-    motion = assessment.prediction.motion
-    fix = _combine_to_fix(assessment, _local_axes(motion))
-    return fix is not None and fits_carry_off(excluded_for, motion.t_us, fix)
-
-
-def reject_carried_off(
-    detection: CarryOffDetection, motion: MotionEstimate, rates: RateVerdict, ranges: RangeVerdict
-) -> SourceVerdict:
-    """The verdicts if all satellites have carried the filter off: no measurement of the epoch is
-    used, and the error that the filter has followed is removed."""
-    corrected = reject_all(remove_carry_off(motion, detection), ranges)
-    return SourceVerdict(_reject_rates(rates), corrected, "gps", detection.carried)
-
-
-def _reject_rates(rates: RateVerdict) -> RateVerdict:
-    return rates._replace(hypothesis="gps", usable=NO_RATES)
+def reject_satellites(
+    verdict: EpochVerdict, motion: MotionEstimate, carried: CarryOff
+) -> EpochVerdict:
+    """The verdict if all satellites are `carried` off: no measurement of the epoch is used, and the
+    filter continues from `motion`."""
+    rates = verdict.rates._replace(hypothesis="gps", usable=NO_RATES)
+    ranges = reject_all(motion, verdict.ranges)
+    return verdict._replace(rates=rates, ranges=ranges, source="gps", carry_off=carried)
 
 
 def is_coasting(motion: MotionEstimate, innovations: Innovations) -> bool:
@@ -142,13 +112,6 @@ def is_coasting(motion: MotionEstimate, innovations: Innovations) -> bool:
     return bool(np.trace(motion.p[:3, :3]) > np.trace(alone))
 
 
-def _carry_off_now(assessment: Assessment) -> CarryOff | None:
-    """The offset of the satellites from the filter, and its rate."""
-    motion = assessment.prediction.motion
-    fix = _combine_to_fix(assessment, _local_axes(motion))
-    return None if fix is None else CarryOff(motion.t_us, fix.v[3:], fix.v[:3])
-
-
 def isolate_imu_or_satellites(
     history: Sequence[EpochRecord], assessment: Assessment, config: DetectorConfig
 ) -> tuple[str, CarryOffDetection | None]:
@@ -156,8 +119,9 @@ def isolate_imu_or_satellites(
     tests = _repeat_tests(history, assessment, config)
     if tests is None:
         return "imu", None
-    by_carry_off, by_imu, detection = compare_windows(tests.windows)
-    if by_imu > by_carry_off + LIKELIER or tests.explained_by_force:
+    windows, explained_by_force = tests
+    by_carry_off, by_imu, detection = compare_windows(windows)
+    if by_imu > by_carry_off + LIKELIER or explained_by_force:
         return "imu", None
     if by_carry_off > by_imu + LEAST_RATIO_LEAD:
         return "gps", detection
@@ -174,13 +138,14 @@ def find_slow_carry_off(
         return None
     threshold = chi_square_threshold(3, config.p_slow)
     t_us = assessment.prediction.motion.t_us
-    return find_significant_carry_off(tests.windows, t_us, level, threshold)
+    return find_significant_carry_off(tests[0], t_us, level, threshold)
 
 
 def _repeat_tests(
     history: Sequence[EpochRecord], assessment: Assessment, config: DetectorConfig
-) -> RepeatedTests | None:
-    """The last seconds tested again; None where the epochs are too few, or their ranges are."""
+) -> tuple[CarryOffWindows, bool] | None:
+    """Carry-off windows over the last seconds, tested again, and whether the IMU's own force
+    explains the last epoch; None where the epochs are too few, or their ranges are."""
     now = _with_fix(assessment)
     epochs = [*_last_epochs(history, assessment.prediction.motion.t_us, config), now]
     if len(epochs) < LEAST_EPOCHS:
@@ -198,7 +163,7 @@ def _repeat_tests(
             windows = renew_oldest_window(windows, t_us)
     assert now.fix is not None
     assessments = [epoch.assessment for epoch in epochs]
-    return RepeatedTests(windows, _is_explained_by_force(assessments, now.fix, config))
+    return windows, _is_explained_by_force(assessments, now.fix, config)
 
 
 def _last_epochs(
@@ -228,15 +193,8 @@ def _assess_again(record: EpochRecord, config: DetectorConfig) -> EpochFix | Non
 
 
 def _with_fix(assessment: Assessment) -> EpochFix:
-    axes = _local_axes(assessment.prediction.motion)
+    axes = local_axes(assessment.prediction.motion.x[:3])
     return EpochFix(assessment, axes, _combine_to_fix(assessment, axes))
-
-
-def _local_axes(motion: MotionEstimate) -> Vector:
-    """North, east and down (3, 3) in ECEF."""
-    lat, lon, _ = geodetic_position(motion.x[:3])
-    axes: Vector = ned_axes(lat, lon)
-    return axes
 
 
 def _combine_to_fix(assessment: Assessment, axes: Vector) -> FixInnovation | None:
@@ -267,7 +225,7 @@ def _is_explained_by_force(
         return False
     prediction = assessments[-1].prediction
     motion, dt_s = prediction.motion, prediction.dt_s
-    rot = _local_axes(motion) @ rotation_matrix(motion.x[6:10])
+    rot = local_axes(motion.x[:3]) @ rotation_matrix(motion.x[6:10])
     v_mps, sigma_mps = fix.v[3:], np.sqrt(np.diag(np.linalg.inv(fix.m))[3:])
     different = float(np.sum((v_mps / sigma_mps) ** 2))
     if different <= chi_square_threshold(3, config.p_other):

@@ -23,12 +23,12 @@ from analysis.detection.filter.inertial import (
 )
 from analysis.detection.filter.lasting_errors import VarianceFactor
 from analysis.detection.filter.measurement import EpochObservation, Innovations, predict_innovations
-from analysis.detection.isolation.constellations import (
+from analysis.detection.isolation.hypotheses import (
     SYSTEMS_CONTRADICT,
+    explain_by_satellites,
     explain_by_systems,
     group_by_system,
 )
-from analysis.detection.isolation.hypotheses import explain_by_satellites
 from analysis.detection.isolation.trust import TRUSTED_DOF
 from analysis.detection.protection_levels import PositionBounds, bound_position
 from analysis.detection.receiver.carry_off_windows import LEAST_RATIO_LEAD

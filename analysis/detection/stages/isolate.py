@@ -9,83 +9,31 @@ from collections.abc import Sequence
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore, EpochRecord
-from analysis.detection.filter.epoch_update import update_filter
-from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.information import normal_equations
+from analysis.detection.filter.covariance_release import free_position, free_system_clocks
+from analysis.detection.filter.information import update_filter
 from analysis.detection.isolation.all_satellites import (
     common_jump_m,
-    follow_jump,
     ranges_beyond_imu,
     rates_beyond_imu,
+    reject_all,
 )
 from analysis.detection.isolation.common_shift import shift_is_suspected, shift_statistic
 from analysis.detection.isolation.epoch_memory import learned_offsets_m
-from analysis.detection.isolation.epoch_statistics import LEAST_RATES
-from analysis.detection.isolation.ramp_test import (
-    RampBank,
-    RampVerdict,
-    evaluate_ramps,
-    new_ramps,
-    prepare_ramps,
-)
+from analysis.detection.isolation.epoch_tests import isolate_ranges, run_range_test, run_rate_test
+from analysis.detection.isolation.ramp_test import evaluate_ramps, new_ramps, prepare_ramps
 from analysis.detection.isolation.ramp_windows import update_windows
-from analysis.detection.isolation.range_test import RangeVerdict, isolate_ranges, run_range_test
-from analysis.detection.isolation.rate_test import RateVerdict, run_rate_test
-from analysis.detection.receiver.carry_off_windows import LEAST_LEVEL, CarryOff
+from analysis.detection.receiver.carry_off_windows import LEAST_LEVEL, remove_carry_off
 from analysis.detection.stages.assess import Assessment
+from analysis.detection.stages.epoch_outcome import EpochVerdict, FilterUpdate
 from analysis.detection.stages.imu_or_satellites import (
-    SourceVerdict,
     find_slow_carry_off,
     isolate_imu_or_satellites,
     isolate_source,
-    reject_carried_off,
+    reject_satellites,
 )
-from analysis.detection.values import Value
 from analysis.samples.block import ImuRun
-from analysis.samples.sample import Vector
 
 USABLE_PREDICTION = ("none", "satellites")  # verdicts of the rates that leave the prediction usable
-
-
-class FilterUpdate(Value, frozen=True):
-    """The filter after the epoch, with its ramp tests and their verdict (None: they restart)."""
-
-    motion: MotionEstimate
-    ramps: RampBank | None = None
-    verdict: RampVerdict | None = None
-
-
-class EpochVerdict(Value, frozen=True):
-    """The joint verdict of the tests of an epoch.
-
-    `source` is the faulty source where `rates` or `ranges` isolate the IMU: the IMU itself, or
-    undecided. `jump_m` (3,) is how far all satellites have jumped, `carry_off` how they carry the
-    filter off, `shift` the statistic of the velocity that all rates share. `update` is the filter
-    after the epoch; where it is None, the usable innovations are still to be used.
-    """
-
-    rates: RateVerdict
-    ranges: RangeVerdict
-    source: str = "imu"
-    carry_off: CarryOff | None = None
-    jump_m: Vector | None = None
-    shift: float = 0.0
-    update: FilterUpdate | None = None
-
-    @property
-    def ramps(self) -> RampVerdict | None:
-        """The verdict of the ramp tests; None where they were not made."""
-        return self.update.verdict if self.update is not None else None
-
-    def has_passed(self, assessment: Assessment, doppler: bool) -> bool:
-        """Whether an epoch that the IMU has predicted passed every test, with rates to compare."""
-        ramps = self.ramps
-        if ramps is None or {ramps.hypothesis, self.rates.hypothesis, self.ranges.hypothesis} != {
-            "none"
-        }:
-            return False
-        known = doppler and assessment.statistics.rate_count >= LEAST_RATES
-        return known and assessment.prediction.before.inertial and self.ranges.motion.inertial
 
 
 def isolate(
@@ -127,16 +75,17 @@ def _isolate_by_epoch(
     offset_m = learned_offsets_m(assessment.memory.ramps, assessment.satellites)
     ranges = run_range_test(motion, innovations, statistics, rates.hypothesis, offset_m, config)
     ranges = ranges_beyond_imu(ranges, rates, motion)
-    found = SourceVerdict(rates, ranges)
+    verdict = EpochVerdict(rates, ranges)
     if prediction.is_inertial:
-        found = isolate_source(assessment, trust.carry_off, history, rates, ranges, config)
+        verdict = isolate_source(assessment, trust.carry_off, history, verdict, config)
     jump_m = common_jump_m(
-        found.ranges, motion, innovations, statistics, prediction.dt_s, config.p_false_alarm
+        verdict.ranges, motion, innovations, statistics, prediction.dt_s, config.p_false_alarm
     )
-    verdict = EpochVerdict(*found, jump_m=jump_m)
     if jump_m is None:
         return verdict
-    return verdict._replace(ranges=follow_jump(found.ranges, motion, innovations))
+    # All satellites that jumped together are used, and the filter follows.
+    freed = free_system_clocks(free_position(motion))
+    return verdict._replace(ranges=reject_all(freed, verdict.ranges, innovations), jump_m=jump_m)
 
 
 def _isolate_by_memory(
@@ -147,7 +96,7 @@ def _isolate_by_memory(
     config: DetectorConfig,
 ) -> EpochVerdict:
     """The verdict on an epoch that passed its own tests, after those with memory."""
-    prediction, ranges, rates = assessment.prediction, verdict.ranges, verdict.rates
+    prediction, ranges = assessment.prediction, verdict.ranges
     update = _update_with_ramps(assessment, verdict, config)
     verdict = verdict._replace(update=update)
     assert update.verdict is not None
@@ -163,8 +112,9 @@ def _isolate_by_memory(
             level = max(known.level, LEAST_LEVEL)
             detection = find_slow_carry_off(history, assessment, level, config)
     if detection is not None:
-        rejected = reject_carried_off(detection, prediction.motion, rates, ranges)
-        return verdict._replace(**rejected._asdict(), update=FilterUpdate(rejected.ranges.motion))
+        corrected = remove_carry_off(prediction.motion, detection)
+        verdict = reject_satellites(verdict, corrected, detection.carried)
+        return verdict._replace(update=FilterUpdate(corrected))
     if update.verdict.hypothesis != "satellites":
         return verdict
     # The ramp of one satellite may be better explained by its whole system.
@@ -184,7 +134,7 @@ def _update_with_ramps(
     ramps = prepare_ramps(ramps, t_us, assessment.satellites, ranges.usable.variance, config)
     used, normal = ranges.usable, assessment.statistics.ranges
     if used is not assessment.innovations:
-        normal = normal_equations(used.geometry, used.variance, used.range_m, used.white)
+        normal = used.equations()
     update = update_filter(motion, normal, verdict.rates.usable)
     windows, strongest = update_windows(
         ramps.windows, motion, update, prediction.transition, prediction.dt_s, config

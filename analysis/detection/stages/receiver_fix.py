@@ -11,18 +11,18 @@ import numpy as np
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore, DetectorState
 from analysis.detection.filter.alignment import align_attitude
-from analysis.detection.filter.covariance_release import free_position
+from analysis.detection.filter.covariance_release import free_position, release
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.propagation import ImuSegment, split_pending, update_interval_s
+from analysis.detection.filter.inertial import R
+from analysis.detection.filter.propagation import split_pending, update_interval_s
 from analysis.detection.isolation.exclusion import add_exclusions
 from analysis.detection.receiver.carry_off_test import (
-    Tests,
     detect_carry_off,
     estimate_carry_off,
     is_still_carried_off,
 )
 from analysis.detection.receiver.carry_off_windows import SETTLED_US, remove_carry_off
-from analysis.detection.receiver.drift_return import follow_drift, has_returned, release_position
+from analysis.detection.receiver.drift_return import follow_drift, has_returned
 from analysis.detection.receiver.fix_latency import (
     append_interval,
     compensate_latency,
@@ -34,6 +34,7 @@ from analysis.detection.receiver.heading import limit_heading_update
 from analysis.detection.receiver.imu_scatter import update_scatter
 from analysis.detection.receiver.position_test import (
     VELOCITY_SIGMA_MPS,
+    AssessedFix,
     FixMeasurement,
     fix_measurement,
     run_fix_tests,
@@ -47,9 +48,13 @@ from analysis.detection.receiver.receiver_or_imu import (
     new_last_fix,
 )
 from analysis.detection.receiver.receiver_state import LastFix
-from analysis.detection.stages.decision_record import untestable_decision
+from analysis.detection.stages.decision_record import (
+    RECEIVER,
+    build_fix_decision,
+    fix_sensor_decisions,
+    untestable_decision,
+)
 from analysis.detection.stages.epoch_outcome import update_suspension
-from analysis.detection.stages.fix_record import RECEIVER, build_fix_decision, fix_sensor_decisions
 from analysis.detection.stages.predict import Prediction, predict
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.streams.fix_repeats import fix_values
@@ -108,50 +113,54 @@ def _run_stages(
     config: DetectorConfig,
 ) -> tuple[list[Result], DetectorCore]:
     """The decisions on a predicted fix, and the core after it."""
-    before, motion, segment = prediction.before, prediction.motion, prediction.segment
-    dt_s, receiver = prediction.dt_s, core.receiver
-    acceleration = mean_acceleration(before, motion, measurement.axes)
-    latency = append_interval(receiver.latency, dt_s, acceleration)
+    motion, receiver = prediction.motion, core.receiver
+    acceleration = mean_acceleration(prediction.before, motion, measurement.axes)
+    latency = append_interval(receiver.latency, prediction.dt_s, acceleration)
     measurement = compensate_latency(measurement, motion, latency)
-    tests = run_fix_tests(measurement, motion, config)
+    assessed = AssessedFix(
+        measurement,
+        prediction.before,
+        motion,
+        prediction.transition,
+        prediction.segment,
+        *run_fix_tests(measurement, motion, config),
+    )
     drift = follow_drift(receiver.drift, receiver.last_fix, measurement, motion.t_us)
-    jumps = not (tests[0].passes or core.trust.excluded) and tests[1] is not None
+    jumps = not (assessed.position.passes or core.trust.excluded) and assessed.velocity is not None
     if jumps and has_returned(receiver.drift, drift, measurement, motion.t_us):
-        motion = release_position(motion, tests[0].v)
-        tests = run_fix_tests(measurement, motion, config)
-    scatter = update_scatter(receiver.scatter, segment, motion.t_us)
+        # The position is then as uncertain as the jump is long; the rest is kept.
+        jump_m = assessed.position.v
+        assessed = assessed.with_motion(release(motion, (R, 3, float(jump_m @ jump_m))), config)
+    scatter = update_scatter(receiver.scatter, prediction.segment, motion.t_us)
     receiver = receiver._replace(latency=latency, drift=drift, scatter=scatter)
     core = core._replace(receiver=receiver)
-    hypothesis, alarm = _isolate(core, measurement, motion, segment, tests, config)
-    filters, trusted = (before, motion, prediction.transition), not core.trust.excluded
-    receiver, found, wrong_mps2 = detect_carry_off(
-        receiver, filters, segment, measurement, tests, trusted, config
-    )
+    hypothesis, alarm = _isolate(core, assessed, config)
+    trusted = not core.trust.excluded
+    receiver, found, wrong_mps2 = detect_carry_off(receiver, assessed, trusted, config)
     if found is not None:
         core = core._replace(trust=core.trust._replace(carry_off=found.carried))
-        motion, hypothesis, alarm = remove_carry_off(motion, found), "gps", True
-        tests = run_fix_tests(measurement, motion, config)
+        assessed = assessed.with_motion(remove_carry_off(assessed.motion, found), config)
+        hypothesis, alarm = "gps", True
     elif wrong_mps2 is not None:
         alarm = True
-        hypothesis = isolate_acceleration_fault(
-            receiver.last_fix, wrong_mps2, measurement, motion, segment
-        )
-    if hypothesis == "none" and tests[1] is not None:
-        latency = update_latency(receiver.latency, tests[1], motion.p)
+        hypothesis = isolate_acceleration_fault(receiver.last_fix, wrong_mps2, assessed)
+    if hypothesis == "none" and assessed.velocity is not None:
+        latency = update_latency(receiver.latency, assessed.velocity, assessed.motion.p)
         receiver = receiver._replace(latency=latency)
-    core = core._replace(receiver=receiver)
-    core = _with_hysteresis(core, hypothesis, measurement, tests, motion, config)
-    moved = _update_filter(motion, core, hypothesis, measurement, tests, acceleration, config)
-    moved = align_attitude(core.imu, moved, segment, dt_s, config)
-    last = new_last_fix(receiver.last_fix, measurement, segment, moved)
+    core = _with_hysteresis(core._replace(receiver=receiver), hypothesis, assessed, config)
+    moved = _update_filter(core, hypothesis, assessed, acceleration, config)
+    moved = align_attitude(core.imu, moved, prediction.segment, prediction.dt_s, config)
+    last = new_last_fix(receiver.last_fix, assessed, moved)
     core = core._replace(motion=moved, receiver=core.receiver._replace(last_fix=last))
     shown = _reported_hypothesis(core, hypothesis)
     mode = "position" if moved.inertial else "position-free"
-    results: list[Result] = [build_fix_decision(fix, core, tests[0], shown, alarm, mode)]
+    results: list[Result] = [build_fix_decision(fix, core, assessed.position, shown, alarm, mode)]
     # Everybody paused where there was no fix either.
-    paused = dt_s > PAUSED_S and segment.gap_s > 0.8 * dt_s
-    gap_s = segment.gap_s if (motion.inertial or before.inertial) and not paused else 0.0
-    results += fix_sensor_decisions(fix, core, *tests, gap_s, hypothesis, config)
+    gap_s, dt_s = prediction.segment.gap_s, prediction.dt_s
+    paused = dt_s > PAUSED_S and gap_s > 0.8 * dt_s
+    by_imu = assessed.motion.inertial or prediction.before.inertial
+    gap_s = gap_s if by_imu and not paused else 0.0
+    results += fix_sensor_decisions(fix, core, assessed, gap_s, hypothesis, config)
     return results, core
 
 
@@ -173,46 +182,37 @@ def _reported_hypothesis(core: DetectorCore, hypothesis: str) -> str:
     return "none"
 
 
-def _isolate(
-    core: DetectorCore,
-    measurement: FixMeasurement,
-    motion: MotionEstimate,
-    segment: ImuSegment,
-    tests: Tests,
-    config: DetectorConfig,
-) -> tuple[str, bool]:
-    """The faulty source of a failed test, and whether to raise an alarm; `segment` is the IMU since
-    the last fix, which moved the filter to `motion`."""
-    position, velocity = tests
+def _isolate(core: DetectorCore, fix: AssessedFix, config: DetectorConfig) -> tuple[str, bool]:
+    """The faulty source of a failed test, and whether to raise an alarm."""
+    motion, position, velocity = fix.motion, fix.position, fix.velocity
     # A fix that is only repeated measures nothing, however well it fits.
     if core.receiver.repeats.frozen:
         return "gps", True
-    if position.passes and (velocity is None or velocity.passes):
+    if fix.passes:
         return "none", False
     last = core.receiver.last_fix
-    agrees = _self_consistent(last, measurement, motion.t_us, config)
+    agrees = _self_consistent(last, fix, config)
     if not motion.inertial:  # nothing but steady motion predicts: a jump of position it is, or none
         return ("none", False) if agrees else ("gps", True)
     if velocity is None or velocity.passes or RECEIVER in core.trust.excluded:
         return "gps", True
     if agrees:
-        faulty = isolate_receiver_or_imu(last, measurement, motion, velocity, segment, config)
+        faulty = isolate_receiver_or_imu(last, fix, config)
         shaken = motion.t_us - core.receiver.scatter.shaken_us < SETTLED_US
         return (UNDECIDED if shaken and faulty == "gps" else faulty), True
     return ("gps", True) if position.passes else ("multiple-unknown", True)
 
 
-def _self_consistent(
-    last: LastFix | None, measurement: FixMeasurement, t_us: int, config: DetectorConfig
-) -> bool:
+def _self_consistent(last: LastFix | None, fix: AssessedFix, config: DetectorConfig) -> bool:
     """Whether the receiver's position moved by its velocities since the last fix.
 
     They are the velocities at both ends; when the speed changed in between is unknown (at an impact
     it changes at once). So either velocity, or any between, may have moved the position.
     """
+    measurement = fix.measurement
     if last is None or measurement.v_ned_mps is None:
         return True
-    dt_s = (t_us - last.t_us) * 1e-6
+    dt_s = (fix.motion.t_us - last.t_us) * 1e-6
     known = np.isfinite(measurement.v_ned_mps)
     # An unknown earlier velocity counts as unchanged.
     earlier = np.where(np.isfinite(last.v_ned_mps), last.v_ned_mps, measurement.v_ned_mps)
@@ -227,15 +227,10 @@ def _self_consistent(
 
 
 def _with_hysteresis(
-    core: DetectorCore,
-    hypothesis: str,
-    measurement: FixMeasurement,
-    tests: Tests,
-    motion: MotionEstimate,
-    config: DetectorConfig,
+    core: DetectorCore, hypothesis: str, fix: AssessedFix, config: DetectorConfig
 ) -> DetectorCore:
     """The core with the receiver excluded or readmitted, or with the IMU suspended."""
-    (position, velocity), t_us, trust = tests, motion.t_us, core.trust
+    t_us, trust = fix.motion.t_us, core.trust
     if hypothesis in IMU_IN_DOUBT:
         trust = trust._replace(unbounded=trust.unbounded or hypothesis == UNDECIDED)
         imu = update_suspension(core.imu, True, t_us, config)
@@ -245,7 +240,7 @@ def _with_hysteresis(
     if hypothesis in ("gps", "multiple-unknown"):
         carry_off = trust.carry_off
         if carry_off is None:
-            carry_off = estimate_carry_off(core.receiver.last_fix, measurement, velocity)
+            carry_off = estimate_carry_off(core.receiver.last_fix, fix)
         # A receiver that is carried off slowly, or repeats its fix, fits at first.
         position_alone = carry_off is None and not core.receiver.repeats.frozen
         names = (RECEIVER,) if position_alone else (RECEIVER, RECEIVER_VELOCITY)
@@ -256,10 +251,10 @@ def _with_hysteresis(
         )
         return core._replace(trust=trust)
     entry = trust.excluded.get(RECEIVER)
-    if entry is None or not position.passes or (velocity is not None and not velocity.passes):
+    if entry is None or not fix.passes:
         return core
     since_us = entry.healthy_since_us if entry.healthy_since_us is not None else t_us
-    if is_still_carried_off(trust.carry_off, measurement, tests, motion):
+    if is_still_carried_off(trust.carry_off, fix):
         entry = replace(entry, healthy_since_us=None)
     elif (t_us - since_us) * 1e-6 >= config.readmit_s:
         return core._replace(trust=trust._replace(excluded={}, carry_off=None))
@@ -269,24 +264,20 @@ def _with_hysteresis(
 
 
 def _update_filter(
-    motion: MotionEstimate,
     core: DetectorCore,
     hypothesis: str,
-    measurement: FixMeasurement,
-    tests: Tests,
+    fix: AssessedFix,
     acceleration_mps2: Vector,
     config: DetectorConfig,
 ) -> MotionEstimate:
     """The filter after an update with the trusted parts of the fix."""
-    position, velocity = tests
-    if hypothesis in IMU_IN_DOUBT or (hypothesis == "none" and not position.passes):
-        motion = free_position(motion)
-        position, velocity = run_fix_tests(measurement, motion, config)
-    before = motion
-    if RECEIVER not in core.trust.excluded and position.passes:
-        motion = update_with_fix(motion, position)
+    if hypothesis in IMU_IN_DOUBT or (hypothesis == "none" and not fix.position.passes):
+        fix = fix.with_motion(free_position(fix.motion), config)
+    motion = before = fix.motion
+    if RECEIVER not in core.trust.excluded and fix.position.passes:
+        motion = update_with_fix(motion, fix.position)
+    velocity = fix.velocity
     if velocity is not None and velocity.passes and RECEIVER_VELOCITY not in core.trust.excluded:
         # Predicted again, as the position has just changed the filter's velocity, too.
-        again = run_fix_tests(measurement, motion, config)[1]
-        motion = update_with_fix(motion, again if again is not None else velocity)
-    return limit_heading_update(before, motion, acceleration_mps2, measurement.axes)
+        motion = update_with_fix(motion, fix.with_motion(motion, config).velocity or velocity)
+    return limit_heading_update(before, motion, acceleration_mps2, fix.measurement.axes)

@@ -7,13 +7,11 @@ off the unknowns), u = M v and q = v' M v.
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from analysis.samples.block import Indices
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.linear import invert_positive_definite
-
-Indices = NDArray[np.int64]
 
 
 @compiled

@@ -9,7 +9,7 @@ References
 """
 
 from functools import lru_cache
-from math import comb, erfc, exp, inf, lgamma, log, nan, pi, sqrt
+from math import erfc, exp, inf, lgamma, log, nan, pi, sqrt
 from statistics import NormalDist
 
 LARGEST_STATISTIC = 1400.0  # exp(-1400 / 2) is near the smallest number
@@ -35,17 +35,6 @@ def chi_square_threshold(dof: int, p_false_alarm: float) -> float:
         # Never below half of it: a long step could leave the positive numbers.
         x = max(x + step, 0.5 * x)
     return x
-
-
-@lru_cache(maxsize=4096)
-def subset_threshold(count: int, left_out: int, p_false_alarm: float, unknowns: int = 0) -> float:
-    """Threshold of one leave-out test of `count` measurements that also solve for `unknowns`.
-
-    The false-alarm probability is shared among all tests with as many left out, so that the right
-    one passes with the configured probability whichever it is.
-    """
-    # Shared evenly: Bonferroni's bound over all sets of that size.
-    return chi_square_threshold(count - unknowns - left_out, p_false_alarm / comb(count, left_out))
 
 
 @lru_cache(maxsize=1024)

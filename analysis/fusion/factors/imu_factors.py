@@ -18,6 +18,7 @@ import numpy as np
 from analysis.detection.filter.process_noise import ProcessNoise
 from analysis.fusion.local_frame import LocalFrame
 from analysis.samples.sample import Vector
+from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
 
 INTEGRATION_SIGMA_M = 1e-3  # m/sqrt(s), noise of the integration; small against range sigmas
 MAX_STEP_S = 0.1  # faster samples are condensed to it; the neglected terms are of third order
@@ -92,5 +93,6 @@ def _params(
     params.setIntegrationCovariance(unit * INTEGRATION_SIGMA_M**2)
     params.setBiasOmegaCovariance(unit * noise.gyro_walk**2)
     params.setBiasAccCovariance(unit * noise.accel_walk**2)
-    params.setOmegaCoriolis(frame.earth_rate())
+    # The Earth rotates about z of ECEF: the third column is that axis in the frame.
+    params.setOmegaCoriolis(frame.axes[:, 2] * GNSS_EARTH_RATE_RPS)
     return params

@@ -19,7 +19,6 @@ from analysis.fusion.factors.factor_weights import residual_weight
 from analysis.fusion.factors.unary_factors import unit_noise
 from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph_start import ClockState, Node
-from analysis.fusion.learned_noise import LearnedNoise
 from analysis.fusion.local_frame import LocalFrame
 from analysis.fusion.window import variable_key
 from analysis.orbits.broadcast import CLOCK as SAT_CLOCK
@@ -111,10 +110,6 @@ class EpochRanges:
                 for name, value in normalised
             }
         )
-
-    def scale_rates(self, noise: LearnedNoise) -> None:
-        """Scale the rates' sigmas by the learned factors."""
-        noise.scale_rates(self.satellites, self.rate_sigma_mps)
 
     def factor(
         self,

@@ -52,7 +52,7 @@ OFFSET_SIGMA_M = 5.0  # of the first guess of a barometer's offset: about that o
 
 
 class SensorFactors:
-    """Attaches samples to the nearest epoch and keeps the slow states they need.
+    """Attaches samples to the nearest epoch of a graph, with the slow states they need.
 
     Barometer offset and wind have one variable per span of the window, a random walk from the span
     before; after a gap longer than the window they restart.
@@ -60,7 +60,6 @@ class SensorFactors:
 
     def __init__(self, graph: Graph, config: FusionConfig) -> None:
         self._graph, self._config = graph, config
-        self._spans: dict[str, list[int]] = {"h": [], "w": []}
         self._vision_sigmas = np.array([config.vision_rad] * 3 + [config.vision_m] * 3)
 
     def attach(self, sample: Sample, decision: Decision | None, share: float = 1.0) -> float | None:
@@ -82,20 +81,19 @@ class SensorFactors:
         # One factor per source and epoch: the first of faster samples.
         if self._graph.window.contains(SOURCE_NAMES.get(type(sample), ""), epoch):
             return None
-        if isinstance(sample, BaroSample):
-            used = self._baro(sample, epoch, root)
-        elif isinstance(sample, MagSample):
-            used = self._mag(sample, epoch, root)
-        elif isinstance(sample, AirspeedSample):
-            used = self._airspeed(sample, epoch, root)
-        elif isinstance(sample, GpsFix) and decision and decision.mode.startswith("position"):
-            if self._config.decide and (
-                decision.excluded or decision.hypothesis not in ("none", "imu")
-            ):
-                return 0.0
-            used = self._fix(sample, epoch, share)
-        else:
-            used = False
+        used = False
+        match sample:
+            case BaroSample():
+                used = self._baro(sample, epoch, root)
+            case MagSample():
+                used = self._mag(sample, epoch, root)
+            case AirspeedSample():
+                used = self._airspeed(sample, epoch, root)
+            case GpsFix() if decision and decision.mode.startswith("position"):
+                healthy = not decision.excluded and decision.hypothesis in ("none", "imu")
+                if self._config.decide and not healthy:
+                    return 0.0
+                used = self._fix(sample, epoch, share)
         return share if used else None
 
     def _slow_state(self, letter: str, epoch: int, first: Vector, sigma: float, walk: float) -> int:
@@ -104,7 +102,7 @@ class SensorFactors:
         span = graph.span(epoch)
         name, stamp_s = variable_key(letter, span), window.span_stamp(span)
         spans = [
-            known for known in self._spans[letter] if window.span_stamp(known) >= window.oldest_s
+            known for known in graph.spans[letter] if window.span_stamp(known) >= window.oldest_s
         ]
         if span not in spans:
             before = max((known for known in spans if known < span), default=None)
@@ -123,7 +121,7 @@ class SensorFactors:
             window.insert(values, (name,), stamp_s)
             window.attach(letter, span, since_s, factor)
             spans.append(span)
-        self._spans[letter] = spans
+        graph.spans[letter] = spans
         return name
 
     def _up_m(self, epoch: int) -> tuple[float, float]:

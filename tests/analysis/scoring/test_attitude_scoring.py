@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from analysis.samples.block import block_of
 from analysis.samples.sample import AttitudeSample, ImuSample, MagSample, TruthSample
 from analysis.scoring.attitude_scores import REPEATED, put_repeaters_last
 from analysis.scoring.attitude_scoring import (
@@ -31,8 +32,8 @@ def score(samples, **config):
     state = scorer.new_state()
     results = []
     for sample in samples:
-        found, state = scorer.step(sample, state)
-        results += found
+        found, state = scorer.step(block_of(sample), state)
+        results += [result for _, result in found]
     return scorer, state, results
 
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from analysis.detection import DetectorConfig
-from analysis.detection.filter.antenna import shift_by_lever_arm
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import ERROR_SIZE, X_SIZE, gravity_ecef
-from analysis.detection.filter.propagation import ImuSegment, propagate_filter
+from analysis.detection.filter.propagation import ImuSegment, propagate_filter, shift_by_lever_arm
 from analysis.monitor.pipeline import monitor_config
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS

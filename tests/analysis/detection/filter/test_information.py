@@ -5,10 +5,10 @@ import pytest
 
 from analysis.detection.filter.inertial import ERROR_SIZE, X_SIZE
 from analysis.detection.filter.information import (
+    add_error,
     innovation_statistic,
     inverse_covariance,
     lasting_covariance,
-    measurement_update,
     normal_equations,
     reduce_covariance,
 )
@@ -46,7 +46,8 @@ def test_an_update_is_that_of_the_kalman_filter(widened: float):
     gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + np.diag(variance))
     rest = np.eye(ERROR_SIZE) - gain @ h
     joseph = rest @ p @ rest.T + gain @ np.diag(variance) @ gain.T
-    moved, after, *_ = measurement_update(x, p, normal_equations(h, variance, v, variance))
+    after, _, error = reduce_covariance(p, normal_equations(h, variance, v, variance))
+    moved = add_error(x, error)
     assert np.allclose(after, joseph, atol=1e-7)
     assert np.linalg.eigvalsh(after).min() > 0.0
     shift = gain @ v

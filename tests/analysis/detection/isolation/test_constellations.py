@@ -9,8 +9,7 @@ from analysis.detection import Detector
 from analysis.detection.filter.ephemerides import select_ephemerides
 from analysis.detection.filter.inertial import ERROR_SIZE, ISB
 from analysis.detection.filter.measurement import observe_epoch
-from analysis.detection.isolation.constellations import SYSTEM_CLOCK, group_by_system
-from analysis.detection.isolation.hypotheses import select_hypothesis
+from analysis.detection.isolation.hypotheses import SYSTEM_CLOCK, group_by_system, select_hypothesis
 from analysis.orbits.broadcast import LINE_OF_SIGHT, predict_ranges
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision

@@ -1,4 +1,7 @@
-"""The main test F00 on all trusted pseudoranges, and the verdict where it trips."""
+"""The main test F00 on all trusted pseudoranges, that of the Doppler rates, and their verdicts.
+
+A wrong attitude or force shows in the rates seconds before it shows in the ranges.
+"""
 
 import numpy as np
 
@@ -11,14 +14,20 @@ from analysis.detection.filter.covariance_release import (
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import CLOCK
 from analysis.detection.filter.information import (
+    NO_RATES,
+    NormalEquations,
     innovation_statistic,
     inverse_covariance,
-    normal_equations,
+    rate_equations,
 )
 from analysis.detection.filter.measurement import NO_INNOVATIONS, Innovations
-from analysis.detection.isolation.constellations import SYSTEM_CLOCK, group_by_system
-from analysis.detection.isolation.epoch_statistics import EpochStatistics
-from analysis.detection.isolation.hypotheses import IsolationVerdict, select_hypothesis
+from analysis.detection.isolation.epoch_statistics import LEAST_RATES, EpochStatistics
+from analysis.detection.isolation.hypotheses import (
+    SYSTEM_CLOCK,
+    IsolationVerdict,
+    group_by_system,
+    select_hypothesis,
+)
 from analysis.detection.isolation.isolation_config import IsolationConfig
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.values import Value
@@ -96,7 +105,8 @@ def isolate_ranges(
     if verdict.hypothesis == "satellites":
         # Offsets learned while a whole system moved are its shift, not offsets of the others.
         offset_m = offset_m * (not verdict.whole_system)
-        usable = without_satellites(innovations, verdict.subset, offset_m)
+        usable = innovations._replace(range_m=innovations.range_m - offset_m)
+        usable = usable.without(verdict.subset)
     elif verdict.hypothesis != "none":
         usable = NO_INNOVATIONS
     reported = hypothesis
@@ -108,16 +118,6 @@ def isolate_ranges(
     reported = "clock" if reported == SYSTEM_CLOCK else reported
     subset, chances, whole = verdict.subset, verdict.probabilities, verdict.whole_system
     return RangeVerdict(motion, reported, alarm, subset, q, threshold, chances, usable, True, whole)
-
-
-def without_satellites(
-    innovations: Innovations, subset: tuple[int, ...], offset_m: Vector
-) -> Innovations:
-    """The innovations of the satellites that are not in `subset`, less their offsets (n,)."""
-    keep = np.ones(len(innovations.range_m), dtype=bool)
-    keep[list(subset)] = False
-    kept = innovations.select(keep)
-    return kept._replace(range_m=kept.range_m - offset_m[keep])
 
 
 def _explain(
@@ -138,7 +138,7 @@ def _explain(
     largest = largest_subset(len(innovations.range_m), config.left_out)
     h, v = innovations.geometry, innovations.range_m
     position, clock, systems, whole = h[:, :3], h[:, CLOCK : CLOCK + 1], group_by_system(h), False
-    normal = normal_equations(h, innovations.variance, v, innovations.white)
+    normal = innovations.equations()
     for number in range(MOST_ROUNDS):
         forced = by_past and number == 0
         if not forced and innovation_statistic(motion.p, normal) <= threshold:
@@ -163,3 +163,46 @@ def _explain(
             return hypothesis, verdict, motion
     # No explanation within three rounds.
     return hypothesis, IsolationVerdict("multiple-unknown", (), probabilities, whole), motion
+
+
+class RateVerdict(Value, frozen=True):
+    """The result of the rate test: the hypothesis, the rates that may be used, and the indices of
+    the satellites whose rates are wrong."""
+
+    statistic: float | None
+    threshold: float | None
+    dof: int
+    hypothesis: str
+    usable: NormalEquations
+    faulty: tuple[int, ...] = ()
+
+
+def run_rate_test(
+    motion: MotionEstimate,
+    innovations: Innovations,
+    statistics: EpochStatistics,
+    config: IsolationConfig,
+) -> RateVerdict:
+    """Test the Doppler rates of n satellites against the predicted velocity."""
+    count = statistics.rate_count
+    if not config.doppler or count < LEAST_RATES:
+        return RateVerdict(None, None, 0, "none", NO_RATES)
+    usable = statistics.rates
+    threshold = chi_square_threshold(count, config.p_other)
+    if statistics.q_rate <= threshold:
+        return RateVerdict(statistics.q_rate, threshold, count, "none", usable)
+    known = np.flatnonzero(np.isfinite(innovations.rate_mps))
+    m, velocity, drift = inverse_covariance(motion.p, usable), usable.a[:, :3], usable.a[:, 3:]
+    largest, p = largest_subset(count, config.left_out), config.p_other
+    systems = group_by_system(innovations.geometry[known])
+    verdict = select_hypothesis(m, usable.v, velocity, drift, p, largest, config.rule, systems)
+    faulty: tuple[int, ...] = ()
+    if verdict.hypothesis == "satellites":
+        faulty = tuple(known[list(verdict.subset)].tolist())
+        rate_mps = innovations.rate_mps.copy()
+        rate_mps[list(faulty)] = np.nan
+        usable = rate_equations(innovations.geometry, innovations.rate_variance, rate_mps)
+    # No explanation: no rate is used, the ranges decide alone.
+    elif verdict.hypothesis in ("multiple-unknown", SYSTEM_CLOCK):
+        usable = NO_RATES
+    return RateVerdict(statistics.q_rate, threshold, count, verdict.hypothesis, usable, faulty)
