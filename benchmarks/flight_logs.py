@@ -6,8 +6,9 @@ TABLE (`benchmarks/flight_logs.csv`) has a row per log: its MD5, repository, par
 crashed, and the checks that are true of it. The first part was used for development and held
 against numbers that pymavlink and pyulog give, the second only where a report looked wrong. The
 third and fourth were judged from numbers of pymavlink and numpy before their reports were read, the
-fourth behind all changes that the third led to. The fifth was judged in the same way, and led to
-changes. Of the logs themselves nothing is stored here.
+fourth behind all changes that the third led to. The fifth and seventh were judged in the same way
+and led to changes, the sixth and eighth were opened behind them. Of the logs themselves nothing is
+stored here.
 """
 
 import csv

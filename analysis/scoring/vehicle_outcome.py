@@ -168,7 +168,9 @@ def judge_vehicle(record: VehicleRecord) -> VehicleOutcome:
         for t_s, text in record.texts
         if is_crash_text(text)
     ]
-    tested = motion is not None and record.armed != []
+    # Where the log does not say when armed, a vehicle that never moved may just lie there.
+    unknown = record.armed is None and record.flies and motion and not motion.has_height
+    tested = motion is not None and bool(record.armed or flown or unknown)
     end_tilt_deg, upset = _find_upset(record, motion) if motion and tested else (None, [])
     # One that acts on the ground, before the take-off or behind a crash, is one too.
     acting = record.armed or ([flown] if flown else [])

@@ -1,7 +1,7 @@
 """Check of GPS and estimator before the first arming."""
 
 from analysis.report.curves.recording import FlightData, Windows
-from analysis.report.flight_checks.estimate_numbers import numbers_check
+from analysis.report.flight_checks import estimate_numbers
 from analysis.report.flight_checks.level_checks import bench_checks
 from analysis.report.judging.check_limits import Thresholds
 from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck
@@ -16,7 +16,10 @@ def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> 
     if not armed or armed[0][0] < BENCH_S:
         return [FlightCheck(name, NONE, "the log does not cover it")]
     bench = [(0.0, armed[0][0])]
-    found = [*bench_checks(recording, th, bench), numbers_check(recording, th, bench)]
+    found = [
+        *bench_checks(recording, th, bench),
+        *estimate_numbers.run_checks(recording, th, bench),
+    ]
     last_s = armed[0][0] - BENCH_S  # earlier problems are ignored: a receiver takes time to start
     bad = [c for c in found if c.verdict in (WARN, FAIL) and any(e > last_s for _, e in c.windows)]
     if not bad:

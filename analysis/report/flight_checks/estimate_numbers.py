@@ -29,11 +29,6 @@ ESTIMATES = {
 
 
 def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
-    """Check the estimates while armed."""
-    return [numbers_check(recording, th, armed)]
-
-
-def numbers_check(recording: FlightData, th: Thresholds, armed: Windows | None) -> FlightCheck:
     """Check the estimates within windows: an autopilot whose estimate is NaN flies blind."""
     name, limit = "estimates are numbers", f"fail: not a number for {th.hold_s:g} s"
     windows, lost, judged = [], [], False
@@ -50,8 +45,8 @@ def numbers_check(recording: FlightData, th: Thresholds, armed: Windows | None) 
         lost += [title] if found else []
     if not windows:
         evidence = "yes" if judged else "no position, velocity or attitude estimate in the log"
-        return FlightCheck(name, PASS if judged else NONE, evidence, limit)
+        return [FlightCheck(name, PASS if judged else NONE, evidence, limit)]
     merged = tuple(merged_windows(windows))
     total_s = sum(end - start for start, end in merged)
     evidence = f"{', '.join(lost)}: not a number for {total_s:.1f} s from {merged[0][0]:.1f} s on"
-    return FlightCheck(name, FAIL, evidence, limit, merged)
+    return [FlightCheck(name, FAIL, evidence, limit, merged)]

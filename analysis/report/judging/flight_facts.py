@@ -20,8 +20,9 @@ def flight_facts(recording: FlightData) -> list[tuple[str, str]]:
         # While disarmed the speed is NaN and adds no distance.
         steps = np.diff(speed.t_s) * (speed.value[1:] + speed.value[:-1]) / 2.0
         found.append(("distance over ground", _metres(float(np.nansum(steps)))))
-        found.append(("highest ground speed", f"{np.nanmax(speed.value):.1f} m/s"))
-    height = _inside(recording, "height", ("estimate",), armed)
+        means = np.nanmean(speed.value), np.nanmax(speed.value)
+        found.append(("ground speed, mean and largest", "{:.1f} and {:.1f} m/s".format(*means)))
+    height = _inside(recording, "height", ("estimate", "controller"), armed)
     if height is not None:
         span_m = float(np.nanmax(height.value) - np.nanmin(height.value))
         found.append(("height range", _metres(span_m)))

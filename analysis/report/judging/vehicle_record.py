@@ -23,7 +23,7 @@ from analysis.scoring.vehicle_outcome import (
 
 TRUTH = "truth"
 GRID_S = {True: 0.02, False: 0.1}  # time step of truth and of estimates: fine enough for an impact
-ESTIMATES = ("estimate", "CTUN", "VFR_HUD", "GPS")
+ESTIMATES = ("estimate", "controller", "VFR_HUD", "GPS")
 TRACKS = ("estimate", "local estimate", "GPS")
 LONGEST_S = 1e6  # eleven days; in a log that lasts longer, times are wrong
 MOST_STEPS = 500_000  # of a motion, 14 hours of estimates; chosen to limit memory

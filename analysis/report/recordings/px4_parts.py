@@ -82,5 +82,5 @@ def _commanded_modes(status: Message) -> list[Event]:
         Event(float(t_s[i]), "command", names.get(int(chosen[i]), f"mode {chosen[i]}"))
         for i in began
     ]
-    rises = np.flatnonzero(failsafe[1:] & ~failsafe[:-1]) + 1
+    rises = np.flatnonzero(np.diff(failsafe, prepend=False) & failsafe)
     return found + [Event(float(t_s[i]), "failsafe", "failsafe of PX4", 4) for i in rises.tolist()]

@@ -129,6 +129,19 @@ def test_a_log_that_ends_in_the_air_warns_and_one_that_ends_falling_fails() -> N
 
 
 @pytest.mark.parametrize(
+    ("thrust", "force_mps2", "word"), [(0.0, 9.8, "PASS"), (50.0, 9.8, "WARN"), (0.0, 0.1, "WARN")]
+)
+def test_without_thrust_and_without_a_fall_a_height_that_drifts_is_no_flight(
+    thrust: float, force_mps2: float, word: str
+) -> None:
+    still = [Signal("accel", axis, T_S, NONE) for axis in "xy"]
+    still.append(Signal("accel", "z", T_S, np.full_like(T_S, -force_mps2)))
+    drift = Signal("height", "estimate", T_S, np.minimum(2 * T_S, 30.0))
+    idle = Signal("throttle", "throttle", T_S, np.where(T_S > 55.0, thrust, 50.0))
+    assert verdict(checks(drift, idle, *still), "landing before the log ends") == word
+
+
+@pytest.mark.parametrize(
     ("before", "after", "word"),
     [(0.0, 2.0, "PASS"), (0.0, 178.0, "FAIL"), (0.0, 85.0, "FAIL"), (90.0, 90.0, "PASS")],
 )

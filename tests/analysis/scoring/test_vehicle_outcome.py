@@ -52,6 +52,12 @@ def test_a_soft_end_on_the_side_is_a_crash() -> None:
     assert (found.outcome, found.end_tilt_deg) == ("crashed", 90.0)
 
 
+def test_a_vehicle_that_never_moved_and_may_never_have_been_armed_has_not_crashed() -> None:
+    lying = {"tilt_deg": np.where(T_S > 10.0, 112.0, 2.0), "armed": None, "flies": False}
+    assert flight(**lying).outcome == "not judged"
+    assert flight(**lying | {"armed": [(3.0, 58.0)]}).outcome == "crashed"
+
+
 def test_a_crash_in_the_words_of_the_autopilot_is_a_crash() -> None:
     texts = [TimedText(50.0, "Crash: Disarming: AngErr=173>30, Accel=0.9<3.0")]
     assert flight(texts=texts).outcome == "crashed"
