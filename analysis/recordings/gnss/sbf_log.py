@@ -24,14 +24,13 @@ from analysis.orbits.broadcast import B1I_HZ, B3I_HZ
 from analysis.orbits.glonass import CENTRE_HZ
 from analysis.recordings.gnss.navigation_words import WEEK_S
 from analysis.recordings.gnss.rinex_observations import CodeObservation, epoch_of
-from analysis.recordings.gnss.sbf_orbits import ORBITS, read_orbit, satellite_name
+from analysis.recordings.gnss.sbf_orbits import ORBITS, block_number, read_orbit, satellite_name
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import L1_HZ
 
 SYNC = b"$@"
 OVERHEAD_BYTES = 8  # bytes of a block outside its payload
-NUMBER = 0x1FFF  # bits of the block number, below its revision
 MEAS_EPOCH = 4027
 # Time in ms and week; number of sub-blocks, sizes of both kinds; flags.
 HEAD = Struct("<IHBBBB2x")
@@ -81,7 +80,7 @@ def read_sbf(path: Path) -> tuple[list[Epoch], list[EphemerisSample | Ionosphere
     except (EOFError, OSError, zlib.error) as error:
         raise ConfigError(f"{path}: not a Septentrio log ({error}); give an SBF file") from error
     blocks = list(_blocks(data))
-    measured = [payload for number, payload in blocks if number == MEAS_EPOCH]
+    measured = [block[OVERHEAD_BYTES:] for block in blocks if block_number(block) == MEAS_EPOCH]
     if not measured:
         raise ConfigError(
             f"{path}: has no complete MeasEpoch; enable it in the receiver (not Meas3Ranges),"
@@ -89,26 +88,24 @@ def read_sbf(path: Path) -> tuple[list[Epoch], list[EphemerisSample | Ionosphere
         )
     epochs = list(_epochs(measured))
     near_s = epochs[0].t_us * 1e-6 if epochs else 0.0
-    found = (read_orbit(number, payload, near_s) for number, payload in blocks if number in ORBITS)
+    # A receiver repeats its blocks under later stamps.
+    sent = {block[4:8] + block[14:]: block for block in blocks if block_number(block) in ORBITS}
+    found = (read_orbit(block, near_s) for block in sent.values())
     return epochs, [sample for sample in found if sample is not None]
 
 
-def _blocks(data: bytes) -> Iterator[tuple[int, bytes]]:
-    """Number and payload of each complete block of a supported type."""
+def _blocks(data: bytes) -> Iterator[bytes]:
+    """Each complete block of a supported type."""
     at = data.find(SYNC)
     while at >= 0:
-        summed, kind, length = (
-            int.from_bytes(data[at + k : at + k + 2], "little") for k in (2, 4, 6)
-        )
-        end, number = at + length, kind & NUMBER
+        head = data[at : at + OVERHEAD_BYTES]
+        summed, length = (int.from_bytes(head[k : k + 2], "little") for k in (2, 6))
+        number, block = block_number(head), data[at : at + length]
         # A false start or a corrupted length must not hide the blocks after it.
-        if (number == MEAS_EPOCH or number in ORBITS) and OVERHEAD_BYTES <= length <= len(
-            data
-        ) - at:
-            body = data[at + 4 : end]
-            if crc_hqx(body, 0) == summed:
-                yield number, body[4:]
-                at = end - 1
+        supported = number == MEAS_EPOCH or number in ORBITS
+        if supported and len(block) == length >= OVERHEAD_BYTES and crc_hqx(block[4:], 0) == summed:
+            yield block
+            at += length - 1
         at = data.find(SYNC, at + 1)
 
 
