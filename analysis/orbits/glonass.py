@@ -16,6 +16,7 @@ from mavproxy_fault.numerics.compile import compiled
 VELOCITY = 3  # offset of the velocity in a state, after the position
 
 CENTRE_HZ, CHANNEL_HZ = 1602.0e6, 0.5625e6  # L1 of channel 0, and channel spacing [1]_
+G2_HZ = 1246.0e6  # L2 of channel 0; its ratio to L1 is equal for all channels
 STEP_S = 60.0
 
 

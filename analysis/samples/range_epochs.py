@@ -12,7 +12,6 @@ from mavproxy_fault.rtcm.msm7 import SYSTEMS as MSM7_SYSTEMS
 from mavproxy_fault.rtcm.msm7 import Msm7, decode_msm7
 from mavproxy_fault.rtcm.transport import message_number
 
-HALF_WEEK_S = 302_400.0
 WEEK_S = 604_800
 MAX_CLOCK_OFFSETS = 25  # chosen: the median ignores up to 12 late frames
 EPHEMERIS_CACHE_SIZE = 512  # satellites repeat an ephemeris for hours
@@ -94,9 +93,7 @@ class EpochAssembler:
             return 0
         week, toe_s = self._week
         # Around the week rollover the ephemeris may belong to the adjacent week.
-        if tow_s - toe_s > HALF_WEEK_S:
-            return week - 1
-        return week + 1 if toe_s - tow_s > HALF_WEEK_S else week
+        return week + round((toe_s - tow_s) / WEEK_S)
 
 
 _ephemeris = lru_cache(EPHEMERIS_CACHE_SIZE)(decode_ephemeris)

@@ -1,36 +1,27 @@
 """GPS time of calendar dates in the time systems of RINEX files.
 
 GLONASS and UTC have leap seconds, BeiDou time is 14 s behind GPS time, the others agree with it
-[1]_ [2]_.
+[1]_.
 
 References
 ----------
 .. [1] IGS/RTCM, RINEX 4.01, section 4.1.
-.. [2] IERS Bulletin C.
 """
 
-from bisect import bisect_right
 from collections.abc import Sequence
-from datetime import date
+from datetime import date, datetime
 
 WEEK_S = 604_800.0
 BEIDOU_OFFSET_S = 14.0  # GPS time minus BeiDou time
 GPS_DAY_ZERO = date(1980, 1, 6).toordinal()
 CENTURY_2 = 80  # two-digit years from here on are in the twentieth century
-# Days after a leap second [2]_; GPS time began on 6 January 1980.
-_LEAPS = tuple(
-    date(year, month, 1)
-    for year, month in (
-        *((1981, 7), (1982, 7), (1983, 7), (1985, 7), (1988, 1), (1990, 1), (1991, 1), (1992, 7)),
-        *((1993, 7), (1994, 7), (1996, 1), (1997, 7), (1999, 1), (2006, 1), (2009, 1), (2012, 7)),
-        *((2015, 7), (2017, 1)),
-    )
-)
 
 
 def leap_seconds(day: date) -> int:
     """GPS time minus UTC on a day, in s."""
-    return bisect_right(_LEAPS, day)
+    from pynmeagps import leapsecond  # not every command needs it
+
+    return int(leapsecond(datetime(day.year, day.month, day.day)))
 
 
 def gps_time(

@@ -17,14 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from analysis.orbits.broadcast import B1I_HZ, B3I_HZ
-from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ
+from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ, G2_HZ
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.rinex.observation_header import ObservationHeader
 from mavproxy_fault.rinex.observation_text import file_epochs
 from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
-from mavproxy_fault.rinex.signal_fields import VALUE
+from mavproxy_fault.rinex.signal_fields import CARRIERS_MHZ, VALUE
 
 PREFERRED = {
     "G": ("1C", "1X", "1L", "1S", "1W", "1P"),
@@ -33,7 +32,6 @@ PREFERRED = {
     "C": ("2I", "1I", "2X", "6I", "6X"),  # 1I is what RINEX 3.02 calls B1I
     "J": ("1C", "1E", "1X", "1L", "1S"),  # 1E: C/B, which later satellites send in place of C/A
 }
-BEIDOU_HZ = {"1": B1I_HZ, "2": B1I_HZ, "6": B3I_HZ}  # by the band
 CODES_2 = {"1C": "C1", "1P": "P1"}  # of RINEX 2, which does not know BeiDou
 ABSENT_COLUMN = 1 << 20  # beyond the end of any line
 # Satellite; code in m, Doppler in Hz, C/N0 in dBHz; carrier in Hz (GLONASS: channel 0); signal.
@@ -80,15 +78,17 @@ def _signals(header: ObservationHeader, system: str) -> list[_Signal]:
                 header.place(types.index(kind)) if kind in types else (0, ABSENT_COLUMN)
                 for kind in (code, *rest)
             ]
-            scale, carrier_hz = header.scale_of(system, code), _carrier_hz(system, signal)
+            scale, carrier_hz = header.scale_of(system, code), carrier_of(system, signal)
             found.append(_Signal(tuple(places), scale, signal, carrier_hz))
     return found
 
 
-def _carrier_hz(system: str, signal: str) -> float:
+def carrier_of(system: str, signal: str) -> float:
+    """The carrier of a signal, of GLONASS that of channel 0."""
     if system == "R":
-        return CENTRE_HZ
-    return BEIDOU_HZ[signal[0]] if system == "C" else L1_HZ
+        return CENTRE_HZ if signal[0] == "1" else G2_HZ
+    band = "2" if system == "C" and signal == "1I" else signal[0]
+    return round(CARRIERS_MHZ[system][band] * 1e6)
 
 
 def _values(lines: list[str], row: int, signal: _Signal) -> tuple[float, float, float] | None:

@@ -20,14 +20,11 @@ from pathlib import Path
 from struct import Struct
 from typing import NamedTuple
 
-from analysis.orbits.broadcast import B1I_HZ, B3I_HZ
-from analysis.orbits.glonass import CENTRE_HZ
 from analysis.recordings.gnss.navigation_words import WEEK_S
-from analysis.recordings.gnss.rinex_observations import CodeObservation, epoch_of
+from analysis.recordings.gnss.rinex_observations import CodeObservation, carrier_of, epoch_of
 from analysis.recordings.gnss.sbf_orbits import ORBITS, block_number, read_orbit, satellite_name
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.constants import L1_HZ
 
 SYNC = b"$@"
 OVERHEAD_BYTES = 8  # bytes of a block outside its payload
@@ -46,24 +43,13 @@ NO_RANGE_STEPS, NO_RATE_STEPS = -4 << 16, -16 << 16  # of a further signal
 MORE_SIGNALS = 31  # value of the five signal bits if the number, 32 or more, is in the information
 CHANNEL_ZERO = 8  # offset of GLONASS channel numbers in the information
 SIGNALS = {  # by signal number: RINEX system letter and signal code
-    0: ("G", "1C"),
-    6: ("J", "1C"),
-    38: ("J", "1E"),
-    8: ("R", "1C"),
-    17: ("E", "1C"),
-    28: ("C", "2I"),
-}
-L2_HZ, L5_HZ, E5B_HZ, E5_HZ, E6_HZ = 1227.6e6, 1176.45e6, 1207.14e6, 1191.795e6, 1278.75e6
-G2_HZ = 1246e6  # of channel 0, as CENTRE_HZ; the ratio is equal for all channels
-CARRIERS_HZ = {
-    **dict.fromkeys((0, 1, 5, 6, 13, 17, 32, 38), L1_HZ),
-    **dict.fromkeys((2, 3, 7), L2_HZ),
-    **dict.fromkeys((4, 14, 20, 26), L5_HZ),
-    **dict.fromkeys((21, 29, 34), E5B_HZ),
-    **dict.fromkeys((8, 9), CENTRE_HZ),
-    **dict.fromkeys((10, 11), G2_HZ),
-    **{19: E6_HZ, 22: E5_HZ, 28: B1I_HZ, 30: B3I_HZ},
-}
+    0: "G1C", 1: "G1W", 2: "G2W", 3: "G2L", 4: "G5Q", 5: "G1L", 6: "J1C", 7: "J2L", 8: "R1C",
+    9: "R1P", 10: "R2P", 11: "R2C", 13: "C1P", 14: "C5P", 17: "E1C", 19: "E6C", 20: "E5Q",
+    21: "E7Q", 22: "E8Q", 26: "J5Q", 28: "C2I", 29: "C7I", 30: "C6I", 32: "J1L", 34: "C7D",
+    38: "J1E",
+}  # fmt: skip
+CARRIERS_HZ = {number: carrier_of(name[0], name[1:]) for number, name in SIGNALS.items()}
+READ = ("1C", "1E", "2I")  # of these the ranges are used
 
 
 def read_sbf(path: Path) -> tuple[list[Epoch], list[EphemerisSample | IonosphereSample]]:
@@ -116,11 +102,11 @@ def _epochs(payloads: list[bytes]) -> Iterator[Epoch]:
         rows: dict[str, CodeObservation] = {}
         channels: dict[str, int] = {}
         for tracked in (found for payload in together for found in _tracked(payload)):
-            name, known = satellite_name(tracked.satellite), SIGNALS.get(tracked.signal)
-            if name is None or known is None or name[0] != known[0] or not tracked.usable:
+            name, known = satellite_name(tracked.satellite), SIGNALS.get(tracked.signal, "")
+            if name is None or name[0] != known[:1] or known[1:] not in READ or not tracked.usable:
                 continue
             values = tracked.range_m, tracked.doppler_hz, tracked.cn0_dbhz
-            rows.setdefault(name, (name, values, CARRIERS_HZ[tracked.signal], known[1]))
+            rows.setdefault(name, (name, values, CARRIERS_HZ[tracked.signal], known[1:]))
             if name[0] == "R":
                 channels[name] = (tracked.information >> 3) - CHANNEL_ZERO
         epoch = epoch_of(week, 1e-3 * tow_ms, list(rows.values()), channels)
