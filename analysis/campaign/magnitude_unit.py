@@ -31,7 +31,18 @@ OWN_UNITS = {
     **dict.fromkeys(("delay", "jitter", "lag", "replay", "sample-hold", "time-jump"), "s"),
 }  # fmt: skip
 # The units at the end of keys and plant parameters, such as `offset_m` and `wind_n_mps`.
-SUFFIXES = {"m": "m", "mps": "m/s", "s": "s", "deg": "deg", "hz": "Hz", "kg": "kg", "db": "dB"}
+SUFFIXES = {
+    "m": "m",
+    "mps": "m/s",
+    "s": "s",
+    "deg": "deg",
+    "hz": "Hz",
+    "kg": "kg",
+    "kgm": "kg m",
+    "k": "K",
+    "a": "G/A",
+    "db": "dB",
+}
 
 
 class MagnitudeUnit(NamedTuple):

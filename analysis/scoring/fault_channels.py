@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 from analysis.detection.detector_registry import other_detectors
 from mavproxy_fault.wire.label import Label
+from mavproxy_fault.wire.plant_names import COMPASS
 
 SATELLITES, POSITION, VELOCITY = "satellites", "gps-position", "gps-velocity"
 IMU, MAG, BARO, AIRSPEED, RANGE, VISION, LINK = (
@@ -73,6 +74,11 @@ OUTPUTS = 16
 NO_PARAMETERS: Mapping[str, object] = {}
 PLANE_OUTPUTS = {2: "rudder", 4: "throttle", 5: "aileron", 6: "aileron", 7: "elevator"}
 MOTOR = re.compile(r"(motor|propeller)_efficiency\[(\d+)\]")
+SENSOR_PLANT_FAULTS = {  # what a plant fault that acts on sensors falsifies
+    **dict.fromkeys(("rotor_unbalance_kgm", "thrust_ripple"), (IMU,)),
+    **dict.fromkeys(COMPASS, (MAG,)),
+    "sensor_warming_k": (IMU, BARO, AIRSPEED),
+}
 SURFACE = re.compile(r"(elevator|aileron|rudder)_efficiency")
 
 MAG_FIELDS = re.compile(r"[xyz]mag")
@@ -180,6 +186,8 @@ def target_visibility(
             return (_lost_satellite if lost else _satellite_visibility)(satellite.group())
         if RECEIVER_PLANT_FAULT.fullmatch(path):
             return RECEIVER_VISIBILITY
+        if name in SENSOR_PLANT_FAULTS:
+            return _any_of(*(SENSOR_VISIBILITY[one] for one in SENSOR_PLANT_FAULTS[name]))
         motor, surface = MOTOR.fullmatch(path), SURFACE.fullmatch(path)
         if motor is not None:
             number = int(motor[2])

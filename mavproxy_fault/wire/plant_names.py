@@ -9,10 +9,12 @@ import re
 from mavproxy_fault.documents.suggestion import suggest_known
 
 AIRFRAME = ("mass_kg_add", "inertia_scale", "load_shift_x_m", "load_shift_y_m")
-MOTOR = ("motor_efficiency", "propeller_efficiency")
+MOTOR = ("motor_efficiency", "propeller_efficiency", "rotor_unbalance_kgm", "thrust_ripple")
 SURFACE = ("elevator_efficiency", "aileron_efficiency", "rudder_efficiency")
 BATTERY = ("battery_voltage_scale", "battery_resistance_scale")
 WIND = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
+COMPASS = ("compass_x_gauss_per_a", "compass_y_gauss_per_a", "compass_z_gauss_per_a")
+SENSORS = ("sensor_warming_k", *COMPASS)
 RECEIVER = ("receiver_off",)
 SATELLITE = ("pseudorange_m", "cn0_drop_db", "satellite_lost", "range_rate_mps")
 SPOOF = ("spoof_north_m", "spoof_east_m", "spoof_down_m", "spoof_clock_m")
@@ -37,7 +39,7 @@ def check_plant_name(name: str) -> None:
     """
     parts = INDEXED.fullmatch(name)
     if parts is None:
-        if name in (single := (*AIRFRAME, *SURFACE, *BATTERY, *WIND, *RECEIVER)):
+        if name in (single := (*AIRFRAME, *SURFACE, *BATTERY, *WIND, *SENSORS, *RECEIVER)):
             return
         known = [*single, *(f"{one}[0]" for one in MOTOR), *(f"{one}[all]" for one in SIGNALS)]
         raise ValueError(f"{name} is not a plant parameter; {suggest_known(name, known)}")

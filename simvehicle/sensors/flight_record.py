@@ -9,12 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.wire.plant_names import SENSORS
 from simvehicle.environment.air import GUST_DRAWS, GUST_FILTERS, LAW_SIZE
 from simvehicle.environment.geolocation import HOME_SIZE, LOCATION_SIZE
 from simvehicle.sensors.error_model import BLOCK
 from simvehicle.vehicles.vehicle import LOAD_SIZE, SURROUNDINGS_SIZE
 
 Records = NDArray[Any]
+WARMING, COMPASS = 0, 1  # in `disturbance`
 MAX_STATES, MAX_CONTROLS = 64, 32  # room for vehicles of other packages too
 FLIGHT = np.dtype(
     [
@@ -27,6 +29,7 @@ FLIGHT = np.dtype(
         ("wind", "f8", 3),
         ("here", "f8", LOCATION_SIZE),  # output of `locate_state`
         ("home", "f8", HOME_SIZE),
+        ("disturbance", "f8", len(SENSORS)),  # of the sensors: warming [K], compass [gauss/A]
         ("ground_m", "f8"),  # height of the ground above mean sea level
         ("agl_m", "f8"),
         ("weather", "f8", LAW_SIZE),  # inputs of `step_wind`
@@ -55,7 +58,7 @@ SENSOR = np.dtype(
         ("id", "i8"),
         ("rate_hz", "f8"),
         ("scale", "f8", 2),  # of each noise model
-        ("constants", "f8", 3),  # of the kind
+        ("constants", "f8", 8),  # of the kind
         ("count", "i8"),  # the next sample's number, and when it is due
         ("due_us", "f8"),
         ("errors", "f8", (BLOCK, 6)),  # the coming samples' errors, and the next one's row

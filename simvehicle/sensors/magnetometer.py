@@ -9,8 +9,10 @@ from mavproxy_fault.numerics.rotations.one_rotation import rotate_to_body
 from simvehicle.environment.geolocation import ATTITUDE
 from simvehicle.sensors.compiled_sensor import MAG, CompiledSensor
 from simvehicle.sensors.error_model import NoiseModel
+from simvehicle.sensors.flight_record import COMPASS
 from simvehicle.sensors.imu import apply_triad_errors
 from simvehicle.sensors.sensor import Rate
+from simvehicle.vehicles.vehicle import CURRENT
 
 _to_body = inlined(rotate_to_body)
 
@@ -19,7 +21,8 @@ class Magnetometer(CompiledSensor, frozen=True, kw_only=True):
     """Measures the Earth's field in body axes [gauss].
 
     `field_ned_gauss` is the field at home; over some kilometres it changes by less than the noise.
-    By default the simulation fills in the value of the world magnetic model.
+    By default the simulation fills in the value of the world magnetic model. The battery's current
+    adds its field, linear in the current (Biot-Savart), by the plant fault `compass_*_gauss_per_a`.
     """
 
     channels: ClassVar = {"noise": 3}
@@ -39,4 +42,4 @@ def measure_field(flight: Any, sensor: Any) -> None:
     true = _to_body((here[e0], here[e1], here[e2], here[e3]), (field[0], field[1], field[2]))
     seen = apply_triad_errors(true, sensor.scale[0], (row[0], row[1], row[2]), np.inf)
     for i in range(3):
-        sensor.values[i] = seen[i]
+        sensor.values[i] = seen[i] + flight.load[CURRENT] * flight.disturbance[COMPASS + i]

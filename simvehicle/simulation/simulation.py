@@ -15,6 +15,7 @@ import numpy as np
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
+from mavproxy_fault.wire.plant_names import SENSORS, WIND
 from simvehicle.environment.geolocation import (
     AIR,
     AIR_VELOCITY,
@@ -50,7 +51,6 @@ from simvehicle.vehicles.rigidbody_kernel import RIGID_SIZE, P, U
 from simvehicle.vehicles.vehicle import VOLTS
 
 NEVER_US = 2**62  # of an event that never comes
-_WIND_PLANT_NAMES = ("wind_n_mps", "wind_e_mps", "wind_d_mps")
 
 
 class Simulation:
@@ -208,7 +208,7 @@ class Simulation:
     def plant(self, name: str, value: float | None) -> None:
         """Set a plant fault, or remove it with None.
 
-        Names: the vehicle's `plant_names`, `wind_n_mps`, `wind_e_mps`, `wind_d_mps`, and those of
+        Names: the vehicle's `plant_names`, those of wind and sensors (`plant_names`), and those of
         the GNSS sensor.
 
         Raises
@@ -216,8 +216,10 @@ class Simulation:
         ConfigError
             If the name is unknown or the value is impossible.
         """
-        if name in _WIND_PLANT_NAMES:
-            axis = _WIND_PLANT_NAMES.index(name)
+        if name in SENSORS:
+            self._flight["disturbance"][SENSORS.index(name)] = value or 0.0
+        elif name in WIND:
+            axis = WIND.index(name)
             healthy = self.scenario.environment.wind_ned_mps[axis]
             self.weather.steady_mps[axis] = healthy if value is None else value
         elif name in self.vehicle.plant_names:
@@ -242,7 +244,7 @@ class Simulation:
         ConfigError
             Lists the supported names.
         """
-        if name not in (*_WIND_PLANT_NAMES, *self.vehicle.plant_names):
+        if name not in (*WIND, *SENSORS, *self.vehicle.plant_names):
             self._with_satellite_plant(name, None)
 
     def pitot_offset_pa(self) -> float | None:
@@ -260,7 +262,7 @@ class Simulation:
             sensor: Any = fitted.sensor
             if hasattr(sensor, "with_plant"):
                 return fitted, sensor.with_plant(fitted.state, name, value)
-        known = ", ".join((*self.vehicle.plant_names, *_WIND_PLANT_NAMES))
+        known = ", ".join((*self.vehicle.plant_names, *WIND, *SENSORS))
         raise ConfigError(f"plant: {name} is unknown; known: {known}")
 
     def _initial_state(self) -> Array:
@@ -281,7 +283,8 @@ class Simulation:
             x = vehicle.start(r, np.array([s.u_mps, s.v_mps, s.w_mps]), q_nb)
             x[P:RIGID_SIZE] = np.radians([s.p_dps, s.q_dps, s.r_dps])
             if isinstance(vehicle, Multirotor):
-                x[RIGID_SIZE:-2] = vehicle.hover_rps(*self._air_and_gravity(x))
+                motors = slice(RIGID_SIZE, RIGID_SIZE + vehicle.controls_count)
+                x[motors] = vehicle.hover_rps(*self._air_and_gravity(x))
             return x
         level = vehicle.start(r, zero, quat_from_euler(0.0, 0.0, heading))
         density, pull = self._air_and_gravity(level)

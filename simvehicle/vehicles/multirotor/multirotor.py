@@ -13,6 +13,7 @@ import numpy as np
 
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
+from mavproxy_fault.wire.plant_names import MOTOR
 from simvehicle.vehicles.compiled_vehicle import CompiledVehicle
 from simvehicle.vehicles.contact_kernel import Gear, make_gear
 from simvehicle.vehicles.multirotor.multirotor_flight import (
@@ -61,7 +62,7 @@ class MultirotorParameters(VehicleParameters, frozen=True):
 
 
 class Multirotor(CompiledVehicle[MultirotorParameters]):
-    """The multirotor, with `rotors` (n, 5) as in `multirotor_flight`."""
+    """The multirotor, with `rotors` (n, 7) as in `multirotor_flight`."""
 
     parameter_kind = MultirotorParameters
     integrate_flight = staticmethod(integrate_flight)
@@ -69,8 +70,8 @@ class Multirotor(CompiledVehicle[MultirotorParameters]):
     def __init__(self, parameters: MultirotorParameters, plant: Mapping[str, float] = {}) -> None:
         super().__init__(parameters, plant)
         self.controls_count = len(parameters.rotors)
-        # Motor speeds, current and drawn charge
-        self.further_states = self.controls_count + 2
+        # Motor speeds and angles, current and drawn charge
+        self.further_states = 2 * self.controls_count + 2
         body = (parameters.drag_area_m2, parameters.damping_nms)
         shift_m = (plant.get("load_shift_x_m", 0.0), plant.get("load_shift_y_m", 0.0))
         self.frame = Airframe._make((*msgspec.structs.astuple(parameters.motor), *body, *shift_m))
@@ -84,6 +85,8 @@ class Multirotor(CompiledVehicle[MultirotorParameters]):
                     1.0 if rotor.turns == "ccw" else -1.0,
                     plant.get(f"propeller_efficiency[{i}]", 1.0),
                     plant.get(f"motor_efficiency[{i}]", 1.0),
+                    plant.get(f"rotor_unbalance_kgm[{i}]", 0.0),
+                    plant.get(f"thrust_ripple[{i}]", 0.0),
                 )
                 for i, rotor in enumerate(parameters.rotors)
             ]
@@ -111,20 +114,19 @@ class Multirotor(CompiledVehicle[MultirotorParameters]):
             "load_shift_y_m",
             "battery_voltage_scale",
             "battery_resistance_scale",
-            *(f"motor_efficiency[{i}]" for i in each),
-            *(f"propeller_efficiency[{i}]" for i in each),
+            *(f"{name}[{i}]" for name in MOTOR for i in each),
         )
 
     def cruise(
         self, r_ned_m: Array, heading_rad: float, wind_ned_mps: Array, speed_mps: float,
         density: float, gravity: float,
     ) -> Array:  # fmt: skip
-        """State (15 + n,) of level hover at a position (3,); wind and speed have no effect."""
+        """State (15 + 2n,) of level hover at a position (3,); wind and speed have no effect."""
         # Level: a rotation by the heading only.
         half = 0.5 * heading_rad
         q = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
         x = self.start(r_ned_m, np.zeros(3), q)
-        x[RIGID_SIZE:-2] = self.hover_rps(density, gravity)
+        x[RIGID_SIZE : RIGID_SIZE + self.controls_count] = self.hover_rps(density, gravity)
         return x
 
     def hover_rps(self, density: float, gravity: float) -> float:

@@ -3,8 +3,8 @@
 Rotor thrust is proportional to the square of the motor's speed and to air density; the drag of a
 rotor's disc is linear in the speed across its axis (Martin and Salaun, ICRA 2010; the model of the
 RotorS simulator, Furrer et al. 2016). Motors follow their commands with first-order lags. The state
-array has the 13 entries of `rigidbody_kernel`, the motor speeds [rad/s], the current [A] and the
-charge drawn [A s].
+array has the 13 entries of `rigidbody_kernel`, the motor speeds [rad/s], the rotors' angles [rad],
+the current [A] and the charge drawn [A s].
 """
 
 import math
@@ -58,8 +58,9 @@ class Airframe(NamedTuple):
 class _LoadInputs(NamedTuple):
     """Inputs of the loads besides the state.
 
-    `speeds` (3, n) are the motor speeds at start, middle and end of a step [rad/s]; `rotors` (n, 5)
-    holds x, y [m], the sign of the reaction torque, and the efficiencies of propeller and motor.
+    `speeds` (3, n) are the motor speeds at start, middle and end of a step [rad/s]; `rotors` (n, 7)
+    holds x, y [m], the sign of the reaction torque, the efficiencies of propeller and motor, and
+    the unbalance [kg m] and the ripple of the thrust, as a part of it.
     """
 
     speeds: Array
@@ -81,13 +82,15 @@ _END = _POWERED + _SUPPLY
 _STIFFNESS, _DAMPING, _ALONG, _ACROSS, _ROTORS = range(_END, _END + 5)
 _CURRENT, _CHARGE_DRAWN = -2, -1  # in the state
 _FULL_CELL_V = 4.2  # the full speed in a parameter file is that at full charge
-_RIGHT, _REACTION, _PROPELLER, _POWER, _ROTOR = range(1, 6)  # columns of a rotor after x
+# Columns of a rotor after x
+_RIGHT, _REACTION, _PROPELLER, _POWER, _UNBALANCE, _RIPPLE, _ROTOR = range(1, 8)
+_STILL_RPS = 1.0  # below it an unbalance of 1e-3 kg m exerts less than 1 mN
 
 
 def pack_parameters(
     body: Inertia, frame: Airframe, wheels: Gear, supply: BatterySupply, rotors: Array
 ) -> Array:
-    """Pack all parameters of `integrate_flight` into one array; rotors (n, 5) and points last."""
+    """Pack all parameters of `integrate_flight` into one array; rotors (n, 7) and points last."""
     ends = (rotors.ravel(), wheels.points_m.ravel())
     return np.concatenate([[*body, *frame, *supply, *wheels[1:]], *ends])
 
@@ -181,6 +184,29 @@ def _spin_motors(
         speeds[2, i] = steady_speed + (speeds[0, i] - steady_speed) * remaining * remaining
 
 
+@inlined
+def _vibration(
+    rotor: Array, angle: float, omega: float, dt: float, frame: Airframe
+) -> tuple[float, float, float]:
+    """Mean force [N] over `dt` seconds of one rotor's vibration, body axes.
+
+    An unbalance U turns with the rotor and pulls with U omega^2 (ISO 21940-1); the thrust of two
+    blades varies at twice their speed (Johnson, Rotorcraft Aeromechanics, 2013). The mean is exact:
+    as in an IMU that integrates, fast vibration is attenuated.
+    """
+    if omega < _STILL_RPS:
+        return 0.0, 0.0, 0.0
+    end = angle + omega * dt
+    pull = rotor[_UNBALANCE] * omega / dt  # U omega^2 over the angle turned
+    thrust = rotor[_RIPPLE] * frame.thrust * omega / (2.0 * dt)
+    return (
+        pull * (math.sin(end) - math.sin(angle)),
+        # Counterclockwise seen from above is a negative turn about the body z axis.
+        rotor[_REACTION] * pull * (math.cos(end) - math.cos(angle)),
+        thrust * (math.sin(2.0 * angle) - math.sin(2.0 * end)),
+    )
+
+
 @compiled
 def integrate_flight(
     x: Array,
@@ -198,7 +224,7 @@ def integrate_flight(
 
     Parameters
     ----------
-    x, after : arrays, shape (15 + n,)
+    x, after : arrays, shape (15 + 2n,)
     controls : array, shape (n,)
         0 to 1 between idle and full speed, clipped; 0 stops the motor.
     surroundings : array, shape (9,)
@@ -212,7 +238,7 @@ def integrate_flight(
     load[VOLTS], load[CHARGE] = battery_output(supply, x[_CHARGE_DRAWN], x[_CURRENT])
     surroundings[BATTERY_SAG] = min(1.0, load[VOLTS] / (supply.cells * _FULL_CELL_V))
     n = controls.shape[0]
-    # After the fixed part of `packed` come five numbers per rotor, then the contact points.
+    # After the fixed part of `packed` come seven numbers per rotor, then the contact points.
     points = _ROTORS + _ROTOR * n
     rotors, points_m = packed[_ROTORS:points].reshape(n, _ROTOR), packed[points:].reshape(-1, 3)
     wheels = Gear(points_m, packed[_STIFFNESS], packed[_DAMPING], packed[_ALONG], packed[_ACROSS])
@@ -239,6 +265,12 @@ def integrate_flight(
     power = 0.0  # mean cube of the speeds relative to full speed
     for i in range(n):
         after[RIGID_SIZE + i] = speeds[0, i]
+        angle = x[RIGID_SIZE + n + i]
+        after[RIGID_SIZE + n + i] = (angle + speeds[0, i] * steps * dt) % math.tau
+        if rotors[i, _UNBALANCE] != 0.0 or rotors[i, _RIPPLE] != 0.0:
+            shaking = _vibration(rotors[i], angle, speeds[0, i], steps * dt, frame)
+            for axis in range(3):
+                load[FORCE + axis] += shaking[axis] / body.mass_kg
         power += (speeds[0, i] / frame.full) ** 3 / n
     after[_CURRENT] = load[CURRENT] = supply.full_throttle_a * power
     after[_CHARGE_DRAWN] = x[_CHARGE_DRAWN] + load[CURRENT] * steps * dt
