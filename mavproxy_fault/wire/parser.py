@@ -61,7 +61,7 @@ class Junk:
 
 @dataclass(slots=True)
 class ParserCounters:
-    """Totals of one parser; `crc_errors` counts positions that looked like a known message."""
+    """Totals of parsers that share them; `crc_errors` are positions that looked like a message."""
 
     bytes: int = 0
     frames: int = 0
@@ -76,19 +76,12 @@ class ParserCounters:
         if number in self.unknown_ids or len(self.unknown_ids) < MAX_UNKNOWN_IDS:
             self.unknown_ids[number] = self.unknown_ids.get(number, 0) + 1
 
-    def add(self, other: "ParserCounters") -> None:
-        """Add another parser's counts."""
-        for name in ("bytes", "frames", "unknown", "crc_errors", "junk_bytes"):
-            setattr(self, name, getattr(self, name) + getattr(other, name))
-        for number, count in other.unknown_ids.items():
-            self.unknown_ids[number] = self.unknown_ids.get(number, 0) + count
-
 
 class Parser:
-    """The parser of one stream; it keeps no state between datagrams."""
+    """The parser of one stream; it keeps no state between datagrams, and adds to `counters`."""
 
-    def __init__(self) -> None:
-        self.counters = ParserCounters()
+    def __init__(self, counters: ParserCounters | None = None) -> None:
+        self.counters = counters or ParserCounters()
         self._incomplete = b""
         self._layouts: dict[int, Layout | None] = {}
         self._frame_ahead = NO_FRAME  # start and end of a verified frame further on
