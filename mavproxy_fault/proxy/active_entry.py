@@ -105,7 +105,7 @@ class ActiveEntry:
             entry.fault, "takes_unknown", self.takes_bytes
         )
         self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
-        self.buffers = hasattr(entry.fault, "release")  # `Buffering`; isinstance would be slow
+        self.buffers = hasattr(entry.fault, "release")
         self.ends_itself = hasattr(entry.fault, "done")
         self.keeps_back = getattr(entry.fault, "keeps_back", False)
         codes = {e.code for row in getattr(entry.fault, "elements", {}).values() for e in row}
@@ -239,9 +239,7 @@ class ActiveEntry:
 
     @staticmethod
     def _instance(frame: Frame) -> int:
-        # Most messages without an instance field have an `id`.
-        name = frame.layout.instance or "id"
-        found = frame.read(name) if name in frame.layout.fields else 0
+        found = frame.read(frame.layout.instance) if frame.layout.instance else 0
         return found if isinstance(found, int) else ANY
 
     def admits_junk(self, data: bytes | Frame, direction: str, *, sealed: bool) -> bool:
