@@ -125,11 +125,6 @@ def find_layout(key: str | int) -> Layout | None:
     return Layout(name, entry["id"], entry["crc_extra"], instance, fields, offset, base_length)
 
 
-def unknown_layout(number: int, crc_extra: int) -> Layout:
-    """Return the layout of a message that the dialect lacks: only its header can be read."""
-    return Layout(f"UNKNOWN_{number}", number, crc_extra, "", {}, 0, 0)
-
-
 def describe_unknown(counts: Mapping[int, int]) -> str:
     """Describe frames of unknown messages, given their number by message id."""
     ids = sorted(counts)

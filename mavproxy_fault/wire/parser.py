@@ -16,7 +16,7 @@ from typing import Literal
 
 from fastcrc.crc16 import mcrf4xx
 
-from mavproxy_fault.wire.dialect import Layout, find_layout, unknown_layout
+from mavproxy_fault.wire.dialect import Layout, find_layout
 from mavproxy_fault.wire.frame import (
     CRC_LENGTH,
     HEADER_V1,
@@ -56,7 +56,7 @@ class Junk:
         checked = head + self.raw[1]
         extra = _crc_extra_of(self.raw[1:checked], self.raw[checked : checked + CRC_LENGTH])
         assert extra is not None
-        return Frame(self.raw, unknown_layout(number, extra))
+        return Frame(self.raw, Layout(f"UNKNOWN_{number}", number, extra, "", {}, 0, 0))
 
 
 @dataclass(slots=True)
