@@ -15,7 +15,7 @@ from analysis.scoring.summary_tally import Tally
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.label import Label
 from mavproxy_fault.wire.parser import Parser
-from mavproxy_fault.wire.tlog import read_ordered_bytes
+from mavproxy_fault.wire.tlog import read_ordered
 
 
 class Monitor:
@@ -44,7 +44,7 @@ class Monitor:
     def push_records(self, records: bytes) -> list[Result]:
         """The results of complete records of a log, parsed by compiled code."""
         results: list[Result] = []
-        for columns, orders in read_ordered_bytes(np.frombuffer(records, np.uint8), MESSAGES):
+        for columns, orders in read_ordered(np.frombuffer(records, np.uint8), MESSAGES):
             results += self.push(self._decoder.decode_columns(columns, orders))
         return results
 

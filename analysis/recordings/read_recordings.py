@@ -15,7 +15,7 @@ from analysis.samples.decoder import MESSAGES, Decoder
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample, Sample
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
-from mavproxy_fault.wire.tlog import read_ordered
+from mavproxy_fault.wire.tlog import map_bytes, read_ordered
 from mavproxy_fault.wire.written import written_bytes
 
 UNIX_TO_GPS_S = 315_964_800  # Unix time of 1980-01-06
@@ -38,7 +38,7 @@ def read_log(path: Path | str, condition: LogCondition | None = None) -> Iterato
         return
     decoder, junk = Decoder(), [0]
     sensed = False
-    for columns, orders in read_ordered(path, MESSAGES, junk=junk):
+    for columns, orders in read_ordered(map_bytes(Path(path)), MESSAGES, junk=junk):
         block = decoder.decode_columns(columns, orders)
         sensed |= len(block.kind) > 0
         yield block

@@ -89,7 +89,7 @@ class Recorder:
         self._labels += labels
         self._edits += edits
         try:
-            data = {
+            data: dict[str, bytes | bytearray] = {
                 RECEIVED: drained.received,
                 RECEIVED_OTHER: drained.received_other,
                 INDEX: drained.index,
@@ -114,7 +114,7 @@ class Recorder:
     def skip(self, tape: CaptureBuffer, why: str, more: int = 0) -> None:
         """Discard the capture buffer and count it as lost, with `more` records outside of it."""
         before = tape.drained
-        tape.clear()
+        tape.drain()
         self.lost += more
         self._note_loss(tape, before, why)
 
@@ -141,7 +141,7 @@ class Recorder:
         except FileNotFoundError:
             return True
 
-    def _append(self, data: dict[str, bytes]) -> None:
+    def _append(self, data: dict[str, bytes | bytearray]) -> None:
         """Append to all files, or to none."""
         if self.failing is not None:  # truncation may have failed too
             for name in self._sizes:

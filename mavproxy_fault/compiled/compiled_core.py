@@ -59,7 +59,7 @@ class CompiledCore:
         signing = core.signing or Signing()
         self.shared = k.new_shared(
             len(core.links), descriptors, keep=tape is not None, senders=core.senders,
-            streams=signing.verifier.streams, waiting=core.waiting.numbers,
+            streams=signing.streams, waiting=core.waiting.numbers,
             delayed=core.waiting.frames,
         )  # fmt: skip
         self._addresses = (c_void_p * len(self.shared))(*map(k.address, self.shared))

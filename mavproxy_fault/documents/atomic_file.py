@@ -49,7 +49,7 @@ def write_atomic(path: Path, text: str, mode: int = SHARED) -> None:
     fresh.replace(path)
 
 
-def write_all(file: FileIO, data: bytes) -> None:
+def write_all(file: FileIO, data: bytes | bytearray) -> None:
     """Write all data; a nearly full disk accepts a part and raises at the next attempt."""
     # A memory view avoids copies of the rest.
     rest = memoryview(data)

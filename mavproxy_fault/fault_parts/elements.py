@@ -114,8 +114,7 @@ def patch_frame(frame: Frame, values: Mapping[Element, Number]) -> Frame:
 def instance_element(message: int) -> tuple[Element, ...]:
     """Return the element that distinguishes sensors with the same message, if there is one."""
     layout = message_layout(message)
-    name = layout.instance or ("id" if "id" in layout.fields else "")
-    return (locate_element(layout, name),) if name else ()
+    return (locate_element(layout, layout.instance),) if layout.instance else ()
 
 
 def sender_of(frame: Frame) -> tuple[int, ...]:

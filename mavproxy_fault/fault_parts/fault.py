@@ -6,7 +6,7 @@ and its JSON Schema); its state is passed in and returned. It does no I/O, takes
 randomness from `rng`, and never changes its arguments.
 """
 
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol
 
 import msgspec
 
@@ -50,7 +50,9 @@ class Fault(Protocol):
     `aliases` (further names) and `on_ranges`, true if its error does not depend on the healthy
     value, so that it accepts PSEUDORANGE targets too. `clock` is "link" if its times count in link
     time by default. A fault with a method `done(state)` ends
-    as soon as that returns true, before its `for_s`.
+    as soon as that returns true, before its `for_s`. One that buffers frames until others have
+    arrived has two more: `release_us(state)`, the due time of the oldest (None without one), and
+    `release(t_us, state)`, which returns all of them, to be sent now, and the state without them.
     """
 
     acts_on: ClassVar[ActsOn]
@@ -81,14 +83,3 @@ class LinkFault(msgspec.Struct, frozen=True, kw_only=True):
 
     def new_state(self, start_us: int) -> Any:
         """Return None, for faults without a state."""
-
-
-@runtime_checkable
-class Buffering(Protocol):
-    """A fault that buffers frames until others have arrived."""
-
-    def release_us(self, state: Any) -> int | None:
-        """Return the due time of the oldest buffered frame; None if there is none."""
-
-    def release(self, t_us: int, state: Any) -> tuple[list[Outgoing], Any]:
-        """Return all buffered frames, to be sent now, and the state without them."""

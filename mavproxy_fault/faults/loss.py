@@ -19,11 +19,11 @@ Correlation = Annotated[float, Meta(ge=0, lt=1)]
 
 
 @link_rule
-def lose_share(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
-    """Lose a share of the frames, correlated with a second parameter."""
-    if p[1]:
-        u = repeated_draw(u, v, p[1], m[1:])
-    return LOST if p[0] >= 1.0 or u < p[0] else 0
+def choose_share(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
+    """Return `p[1]` for a share of the frames, with the correlation `p[3]`."""
+    if p[3]:
+        u = repeated_draw(u, v, p[3], m[1:])
+    return int(p[1]) if p[0] >= 1.0 or u < p[0] else 0
 
 
 class Drop(ProfiledLinkFault, frozen=True, kw_only=True):
@@ -35,13 +35,16 @@ class Drop(ProfiledLinkFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "drop"
     example: ClassVar[dict[str, Any]] = {"value": 0.5}
     on_ranges: ClassVar[bool] = True
-    rule = staticmethod(lose_share)
-    parameters: ClassVar[tuple[str, ...]] = ("value", "correlation")
+    rule = staticmethod(choose_share)
     remembers: ClassVar[int] = 3
     default: ClassVar[float | None] = 1.0
 
     value: Share | None = None
     correlation: Correlation = 0.0
+
+    def numbers(self) -> Numbers:
+        """Return share, what becomes of it, and correlation."""
+        return self.value or 0.0, float(LOST), 0.0, self.correlation
 
 
 @link_rule

@@ -6,14 +6,14 @@ from typing import Any, ClassVar
 from mavproxy_fault.documents.document_check import Positive
 from mavproxy_fault.fault_parts.profile import (
     CLOSE_S,
+    IMPULSES,
     MODES,
     Duration,
     Mode,
-    time_since_period,
 )
 from mavproxy_fault.fault_parts.rules import Numbers, RuleFault, value_rule
 from mavproxy_fault.fault_parts.value_fault import GYRO, GYROS
-from mavproxy_fault.faults.profile_faults import combine_number
+from mavproxy_fault.faults.profile_faults import combine_profile
 
 
 @value_rule
@@ -36,15 +36,6 @@ class SineWave(RuleFault, frozen=True, kw_only=True):
     phase_rad: float = 0.0
 
 
-@value_rule
-def combine_impulse(x: Any, i: int, t_s: float, p: Numbers, m: Any, u: float) -> Any:
-    """Apply the impulse; the value is healthy between impulses."""
-    # CLOSE_S: a frame at the end of an impulse is healthy.
-    if time_since_period(t_s, p[2]) >= p[3] - CLOSE_S:
-        return x[i]
-    return combine_number(x, i, t_s, p, m, u)
-
-
 class Impulse(RuleFault, frozen=True, kw_only=True):
     """Apply an impulse train of height `value`: `width_s` long, every `period_s`."""
 
@@ -53,7 +44,7 @@ class Impulse(RuleFault, frozen=True, kw_only=True):
         "target": GYRO, "value": 5.0, "period_s": 0.1, "width_s": 0.02,
     }  # fmt: skip
     on_ranges: ClassVar[bool] = True
-    rule = staticmethod(combine_impulse)
+    rule = staticmethod(combine_profile)
 
     value: float
     period_s: Duration
@@ -68,8 +59,9 @@ class Impulse(RuleFault, frozen=True, kw_only=True):
             )
 
     def numbers(self, count: int) -> list[Numbers]:
-        """Return mode, height, period and width."""
-        return [(MODES[self.mode], self.value, self.period_s, self.width_s)] * count
+        """Return those of a profile of impulses, between which the value is healthy."""
+        train = self.value, self.period_s, self.width_s
+        return [(MODES[self.mode], IMPULSES, 0.0, 0.0, *train)] * count
 
 
 @value_rule

@@ -17,7 +17,7 @@ from mavproxy_fault.fault_parts.rules import (
     link_rule,
     repeated_draw,
 )
-from mavproxy_fault.faults.loss import Correlation, Share
+from mavproxy_fault.faults.loss import Correlation, Share, choose_share
 
 UNIFORM, NORMAL, EXPONENTIAL, PARETO, SAMPLES, PARETO_NORMAL = range(6)
 DISTRIBUTIONS: dict[str, tuple[int, Drawn]] = {
@@ -29,14 +29,6 @@ DISTRIBUTIONS: dict[str, tuple[int, Drawn]] = {
     "pareto-normal": (PARETO_NORMAL, "standard_normal"),
 }
 MOST_QUANTILES = 256  # of samples: the mean of an exponential's is then 0.3 % too large
-
-
-@link_rule
-def choose_share(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
-    """Return `p[1]` for a share of the frames, with the correlation `p[3]`."""
-    if p[3]:
-        u = repeated_draw(u, v, p[3], m[1:])
-    return int(p[1]) if p[0] >= 1.0 or u < p[0] else 0
 
 
 def random_delay(p: Numbers, u: float) -> float:

@@ -5,18 +5,15 @@ traffic. So the router requires a name and a password from a file that only its 
 Zenoh program of that user can join with this file as its configuration.
 """
 
-import contextlib
 import json
-import os
 import secrets
 import shutil
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 from mavproxy_fault.documents.atomic_file import write_private
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.code_cache import is_usable, user_number
+from mavproxy_fault.numerics.code_cache import is_usable, user_folders, user_number
 
 CONFIG, USERS = "config.json5", "users.txt"
 
@@ -29,24 +26,13 @@ def credentials_folder() -> Path:
     ConfigError
         If there is no writable folder for them.
     """
-    for place in _candidate_folders():
+    for place in user_folders("XDG_STATE_HOME", ".local/state"):
         if is_usable(place):
             return _create_credentials(place / "zenoh")
     raise ConfigError(
         "--zenoh: no folder for the bus's password; set XDG_STATE_HOME to a writable one, or give"
         " --zenoh-config FILE or --zenoh off"
     )
-
-
-def _candidate_folders() -> Iterator[Path]:
-    home = os.environ.get("XDG_STATE_HOME")
-    if home is None:
-        with contextlib.suppress(RuntimeError):  # a user without a name has no home
-            home = str(Path.home() / ".local" / "state")
-    if home is not None:
-        yield Path(home) / "mavproxy-fault"
-    # If home is missing or read-only: a folder that only this user can write to.
-    yield Path(os.environ.get("TMPDIR", "/tmp")) / f"mavproxy-fault-{user_number()}"
 
 
 def _create_credentials(folder: Path) -> Path:

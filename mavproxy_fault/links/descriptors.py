@@ -12,42 +12,31 @@ from collections.abc import Sequence
 from mavproxy_fault.links.link import Link
 
 
-class Descriptors:
-    """The descriptors of all connections of one link."""
-
-    def __init__(self) -> None:
-        self._selector = selectors.DefaultSelector()
+class Descriptors(selectors.DefaultSelector):
+    """The selector of all connections of one link."""
 
     def filenos(self) -> list[int]:
         """Return the descriptors for `select`; a common descriptor never changes."""
-        own = getattr(self._selector, "fileno", None)
+        own = getattr(self, "fileno", None)
         if own is not None:
             return [own()]
-        return [key.fd for key in self._selector.get_map().values()]
+        return [key.fd for key in self.get_map().values()]
 
     def add(self, fileno: int) -> None:
         """Watch a descriptor for received data."""
-        self._selector.register(fileno, selectors.EVENT_READ)
+        self.register(fileno, selectors.EVENT_READ)
 
     def watch_writable(self, fileno: int, *, wanted: bool) -> None:
         """Start or stop watching a descriptor for space to write."""
         room = selectors.EVENT_WRITE if wanted else 0
-        self._selector.modify(fileno, selectors.EVENT_READ | room)
-
-    def remove(self, fileno: int) -> None:
-        """Stop watching a descriptor before it is closed."""
-        self._selector.unregister(fileno)
+        self.modify(fileno, selectors.EVENT_READ | room)
 
     def ready(self) -> list[int]:
         """Return the descriptors that are ready now."""
         # Windows cannot wait on an empty set.
-        if not self._selector.get_map():
+        if not self.get_map():
             return []
-        return [key.fd for key, _ in self._selector.select(0)]
-
-    def close(self) -> None:
-        """Release the system's resources."""
-        self._selector.close()
+        return [key.fd for key, _ in self.select(0)]
 
 
 def wait_until_readable(links: Sequence[Link], wait_s: float) -> None:

@@ -121,7 +121,7 @@ class Stream:
         self._queued = 0
         # The kernel removes a closed descriptor by itself.
         with contextlib.suppress(OSError):
-            self._descriptors.remove(self.fileno)
+            self._descriptors.unregister(self.fileno)
 
     def _await_room(self, *, wanted: bool) -> None:
         # Saves a system call per frame.

@@ -98,7 +98,7 @@ class TcpServer:
         if how == "refused" and not refused:
             self._accept_paused_until_s = None
             with contextlib.suppress(OSError):  # not watched while accepting is paused
-                self._descriptors.remove(self._listener.fileno())
+                self._descriptors.unregister(self._listener.fileno())
             self._listener.close()
         elif how != "refused" and refused:
             try:
@@ -194,7 +194,7 @@ class TcpServer:
         except BlockingIOError:  # no connection waits: Linux checks descriptors first
             pass
         except OSError:  # another thread took the descriptor, or the limit was lowered
-            self._descriptors.remove(self._listener.fileno())
+            self._descriptors.unregister(self._listener.fileno())
             self._accept_paused_until_s = time.monotonic() + ACCEPT_PAUSE_S
             self._warn_once(why)
         else:

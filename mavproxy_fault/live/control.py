@@ -31,7 +31,6 @@ from mavproxy_fault.live.failure_command import (
     FailureRequest,
     UnitPart,
     failure_entries,
-    instance_field,
     reaches_autopilot,
     telemetry_targets,
 )
@@ -168,7 +167,7 @@ class LiveControl:
     def _learn(self, frame: Frame, direction: str, t_us: int, *, sealed: bool) -> None:
         """Note which units and instances a message carries to the autopilot."""
         name = frame.layout.name
-        field = instance_field(name)
+        field = frame.layout.instance
         instance = int(frame.number(field)) + 1 if field else 1
         flags = int(frame.number("fields_updated")) if name == "HIL_SENSOR" else 0
         for part in PARTS[name] if reaches_autopilot(name, direction) and not sealed else ():

@@ -201,12 +201,6 @@ def reaches_autopilot(message: str, direction: str) -> bool:
     return message in INPUTS or direction == "to-vehicle"
 
 
-def instance_field(message: str) -> str:
-    """Return the field that distinguishes the instances of a message; "" without one."""
-    layout = message_layout(message)
-    return layout.instance or ("id" if "id" in layout.fields else "")
-
-
 def telemetry_targets(request: FailureRequest) -> tuple[str, ...]:
     """Return the fields of telemetry in which the autopilot's own failure shows."""
     unit = FAILURE_UNITS.get(request.unit)
@@ -243,7 +237,7 @@ def failure_entries(
             entry = LINK_FAULTS[request.kind]
         else:
             entry = _part_fault(FAILURE_UNITS[request.unit], part, request.kind, instance)
-        if instance and part.fields and not part.indexed and instance_field(part.message):
+        if instance and part.fields and not part.indexed and message_layout(part.message).instance:
             # Instances in the command count from 1, ids in the messages from 0.
             where = {**where, "id": instance - 1}
         entries.append({"id": f"{id}.{number}", **entry, **({"where": where} if where else {})})

@@ -170,8 +170,7 @@ class SubscribedMessages:
 
     def sample(self, frame: Frame, t_us: int, sides: Sequence[bool]) -> None:
         """Sample a frame of a subscribed message, as received (False) or sent (True)."""
-        field = frame.layout.instance or "id"
-        value = frame.read(field) if field in frame.layout.fields else 0
+        value = frame.read(frame.layout.instance) if frame.layout.instance else 0
         instance = value.decode("ascii", "replace") if isinstance(value, bytes) else value
         for name in self._names[frame.id]:
             key = (name, frame.system, frame.component, instance)

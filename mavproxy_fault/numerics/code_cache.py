@@ -84,10 +84,16 @@ def place() -> Path:
 def _places() -> Iterator[Path]:
     if chosen := os.environ.get("MAVPROXY_FAULT_CACHE"):
         yield Path(chosen)
-    home = os.environ.get("XDG_CACHE_HOME")
+    yield from user_folders("XDG_CACHE_HOME", ".cache")
+
+
+def user_folders(variable: str, below_home: str) -> Iterator[Path]:
+    """Yield our folders of this user: below that of the variable or of the home, and among
+    temporary files, where home is missing or read-only."""
+    home = os.environ.get(variable)
     if home is None:
         with suppress(RuntimeError):  # a user without a name has no home either
-            home = str(Path.home() / ".cache")
+            home = str(Path.home() / below_home)
     if home is not None:
         yield Path(home) / "mavproxy-fault"
     # Not `gettempdir`, which fails where nothing can be written to.

@@ -105,7 +105,7 @@ class ActiveEntry:
             entry.fault, "takes_unknown", self.takes_bytes
         )
         self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
-        self.buffers = hasattr(entry.fault, "release")  # `Buffering`; isinstance would be slow
+        self.buffers = hasattr(entry.fault, "release")
         self.ends_itself = hasattr(entry.fault, "done")
         self.keeps_back = getattr(entry.fault, "keeps_back", False)
         codes = {e.code for row in getattr(entry.fault, "elements", {}).values() for e in row}
@@ -239,9 +239,7 @@ class ActiveEntry:
 
     @staticmethod
     def _instance(frame: Frame) -> int:
-        # Most messages without an instance field have an `id`.
-        name = frame.layout.instance or "id"
-        found = frame.read(name) if name in frame.layout.fields else 0
+        found = frame.read(frame.layout.instance) if frame.layout.instance else 0
         return found if isinstance(found, int) else ANY
 
     def admits_junk(self, data: bytes | Frame, direction: str, *, sealed: bool) -> bool:
@@ -257,7 +255,8 @@ class ActiveEntry:
 
     def act(self, frame: Frame | bytes, direction: str, t_us: int) -> list[Outgoing]:
         """Apply the fault to a frame and count the effect."""
-        if self.skips_by_chance():
+        chance = self.entry.probability
+        if chance < 1.0 and self.chance_rng.random() >= chance:
             return [Outgoing(t_us, frame)]
         try:
             sends = self._apply(frame, direction, t_us)
@@ -277,11 +276,6 @@ class ActiveEntry:
             hits.note_hits(self.counts.numbers, t_us, way, touched, saturated, largest)
         return sends
 
-    def skips_by_chance(self) -> bool:
-        """Whether the entry's probability exempts this frame."""
-        chance = self.entry.probability
-        return chance < 1.0 and bool(self.chance_rng.random() >= chance)
-
     def note_failure(self, error: Exception) -> None:
         """Count a frame forwarded unchanged because the fault failed; log the first."""
         if not self.failures:
@@ -293,25 +287,16 @@ class ActiveEntry:
         """Apply the fault to a frame and update its state for that direction."""
         state = self.states.get(direction)
         if state is None and direction not in self.states:
-            state = self.fresh_state(direction)
+            state = self.fault.new_state(self.start_us)
+            if self.live is not None:  # with the newest streamed value
+                state = self.fault.fed(state, *self.live)
+            self.states[direction] = state
         sends: list[Outgoing]
         sends, state = self.fault.apply(frame, t_us, state, self.rng)
         self.states[direction] = state
         if self.ends_itself and self.fault.done(state):
-            self.end_early(t_us)
+            self.end_us, self.needs_attention = t_us, True  # before the scheduled time
         return sends
-
-    def end_early(self, t_us: int) -> None:
-        """End at the next frame, before the scheduled time."""
-        self.end_us, self.needs_attention = t_us, True
-
-    def fresh_state(self, direction: str) -> Any:
-        """Create the initial state of a direction, including the newest streamed value."""
-        state = self.fault.new_state(self.start_us)
-        if self.live is not None:
-            state = self.fault.fed(state, *self.live)
-        self.states[direction] = state
-        return state
 
     def release_us(self) -> int:
         """Time at which the fault must release its oldest buffered frame."""

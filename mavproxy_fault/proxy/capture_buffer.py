@@ -8,7 +8,7 @@ received record. Signing keys (SETUP_SIGNING) are stored as zeros.
 """
 
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from mavproxy_fault.wire.frame import frame_header
 from mavproxy_fault.wire.signing import SETUP_SIGNING, mask_signing_keys
@@ -20,19 +20,8 @@ INDEX = struct.Struct("<BBI")  # link, 1 if in the file of other bytes, length i
 
 
 @dataclass(slots=True)
-class CapturedBytes:
-    """Bytes to append to the files of one recording session."""
-
-    received: bytes
-    received_other: bytes
-    index: bytes
-    sent: bytes
-    sent_other: bytes
-
-
-@dataclass(slots=True)
 class CaptureBuffer:
-    """Growing logs; `drain` returns and empties them."""
+    """Growing logs, to be appended to the files of a session; `drain` hands them over."""
 
     received: bytearray = field(default_factory=bytearray)
     received_other: bytearray = field(default_factory=bytearray)
@@ -72,21 +61,13 @@ class CaptureBuffer:
         else:
             self.sent_other += STAMP.pack(due_us) + LENGTH.pack(len(raw)) + raw
 
-    def drain(self) -> CapturedBytes:
-        """Return and clear everything stored since the last call."""
-        contents = CapturedBytes(*(bytes(part) for part in self._parts))
-        self.clear()
-        return contents
-
-    def clear(self) -> None:
-        """Discard the content, counting it as drained."""
+    def drain(self) -> "CaptureBuffer":
+        """Return everything stored since the last call, which counts as drained, and forget it."""
+        contents = replace(self)
         self.drained = self.count
-        for part in self._parts:
-            part.clear()
-
-    @property
-    def _parts(self) -> tuple[bytearray, ...]:
-        return self.received, self.received_other, self.index, self.sent, self.sent_other
+        self.received, self.received_other, self.index = bytearray(), bytearray(), bytearray()
+        self.sent, self.sent_other = bytearray(), bytearray()
+        return contents
 
 
 def has_frame_shape(raw: bytes) -> bool:

@@ -8,7 +8,6 @@ The output depends only on the input and its timestamps, never on when `due` is 
 with the same schedule gives the same bytes.
 """
 
-import dataclasses
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
@@ -108,7 +107,7 @@ class Core:
         self._numbering = Numbering(self.senders)
         self._labels: list[Label] = []
         self._parsers: dict[tuple[int, int], Parser] = {}
-        self._ended = [ParserCounters() for _ in links]
+        self.parsed = [ParserCounters() for _ in links]  # by all parsers of each link
         self._resync_deadlines: dict[tuple[int, int], ResyncDeadline] = {}
         self._give_up_us: dict[tuple[int, int], int] = {}  # streams with an incomplete frame
         self.waiting = DelayQueue()
@@ -148,12 +147,11 @@ class Core:
         key = (link, stream)
         parser = self._parsers.get(key)
         if parser is None:
-            parser = self._parsers[key] = Parser()
+            parser = self._parsers[key] = Parser(self.parsed[link])
         if data:
             items = parser.push(data, datagram=role.datagrams)
         else:
             items = parser.release()
-            self._ended[link].add(parser.counters)
             del self._parsers[key]
             self._resync_deadlines.pop(key, None)
             self._give_up_us.pop(key, None)
@@ -164,8 +162,8 @@ class Core:
 
     def received_frame(self, link: int, frame: Frame, now_us: int, t_us: int | None) -> list[Send]:
         """Process a frame that is verified already, and timed unless `t_us` is None."""
-        self._ended[link].bytes += len(frame.raw)
-        self._ended[link].frames += 1
+        self.parsed[link].bytes += len(frame.raw)
+        self.parsed[link].frames += 1
         return self._process((frame,), Arrival(link, self.links[link].direction, now_us, t_us))
 
     def due(self, now_us: int) -> list[Send]:
@@ -241,15 +239,6 @@ class Core:
         """Return the labels begun or ended since the last call."""
         labels, self._labels = self._labels, []
         return labels
-
-    def parser_counters(self, link: int) -> ParserCounters:
-        """Return the parsers' totals of one link, including ended streams."""
-        # A copy, so that the totals of ended streams are not changed.
-        total = dataclasses.replace(self._ended[link])
-        for (number, _), parser in self._parsers.items():
-            if number == link:
-                total.add(parser.counters)
-        return total
 
     # -- processing ------------------------------------------------------------------------------
 

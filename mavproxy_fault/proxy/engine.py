@@ -6,7 +6,7 @@ output of the one before; one that counts in link time acts when that output is 
 in `wanted` need to pass through the engine; inactive entries cost nothing.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from heapq import heapify, heappop, heappush
 from typing import Any
 
@@ -365,7 +365,7 @@ class Engine:
             self._schedule = Schedule(self.seed, (*kept, *entries))
         else:
             for one in entries:
-                self._stop(one.id)
+                self._remove({one.id})
                 running = ActiveEntry(one, self.seed, self._now(one), self.t0_us, injected=True)
                 self._all.append(running)
             self._advance()
@@ -391,20 +391,17 @@ class Engine:
     def clear(self, id: str) -> bool:
         """End and remove a fault with its parts, or `all`; return whether there was one."""
         ids = {one.id for one in self._entries() if _is_fault_or_part(one.id, id)}
-        for running in self._all:
-            if running.active and running.entry.id in ids:
-                self._end(running, self._now(running))
-        self._all = [running for running in self._all if running.entry.id not in ids]
+        self._remove(ids)
         kept = tuple(one for one in self._schedule.faults if one.id not in ids)
         self._schedule = msgspec.structs.replace(self._schedule, faults=kept)
         self._update_wanted()
         return bool(ids)
 
-    def _stop(self, id: str) -> None:
-        for running in [r for r in self._all if r.entry.id == id]:
-            if running.active:
+    def _remove(self, ids: Container[str]) -> None:
+        for running in self._all:
+            if running.active and running.entry.id in ids:
                 self._end(running, self._now(running))
-            self._all.remove(running)
+        self._all = [running for running in self._all if running.entry.id not in ids]
 
     def update(self, id: str, value: float, latency_us: int | None = None) -> None:
         """Set another value of a fault, or the newest streamed value of a live profile.

@@ -51,7 +51,7 @@ class LatencyHistogram:
 
 def link_statistics(core: "Core", number: int) -> dict[str, Any]:
     """Return the core's counts for one link."""
-    role, state, parsed = core.links[number], core.states[number], core.parser_counters(number)
+    role, state, parsed = core.links[number], core.states[number], core.parsed[number]
     return {
         "name": role.name,
         "direction": role.direction,

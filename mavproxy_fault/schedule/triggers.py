@@ -55,13 +55,6 @@ PX4_AUTO = {
     1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND", 7: "RTGS",
     8: "FOLLOW", 9: "PRECLAND", 10: "VTOL TAKEOFF", 19: "GUIDED COURSE", 20: "DESCEND",
 }  # fmt: skip
-KEYWORDS: Mapping[str, str] = {
-    "armed": "HEARTBEAT",
-    "mode": "HEARTBEAT",
-    "altitude_m": "GLOBAL_POSITION_INT",
-}
-
-
 FLIGHT_EVENTS = {"arming": "armed", "take-off": "armed and altitude_m > 0.5"}
 FIRST_STAMP = "first-stamp"
 ITEM = re.compile(r"mission-item:(\d+)")
@@ -145,22 +138,17 @@ class Condition:
         part = self._part(node.operand)
         if isinstance(node.op, ast.Not):
             return lambda telemetry: not part(telemetry)
-
-        def negative(telemetry: Telemetry) -> Value:
-            value = part(telemetry)
-            return -value if isinstance(value, int | float) else None
-
-        return negative
+        return _of_number(operator.neg, part)
 
     def _comparison(self, node: ast.Compare) -> Callable[[Telemetry], Value]:
         sides = [node.left, *node.comparators]
-        steps = [
-            self._both(COMPARE.get(type(op), _refused), left, right)
-            for op, left, right in zip(node.ops, sides, sides[1:], strict=False)
-        ]
         # `in` and `is` are not part of the language.
         if any(type(op) not in COMPARE for op in node.ops):
             raise ValueError(f"= {self.text!r}: has another comparison; use == != < <= > >=")
+        steps = [
+            self._both(COMPARE[type(op)], left, right)
+            for op, left, right in zip(node.ops, sides, sides[1:], strict=False)
+        ]
         return lambda telemetry: all(step(telemetry) for step in steps)
 
     def _both(
@@ -189,13 +177,7 @@ class Condition:
             number = find_message(argument.id).id
             self.ids.add(number)
             return lambda telemetry: telemetry.counts.get(number, 0)
-        part = self._part(argument)
-
-        def size(telemetry: Telemetry) -> Value:
-            value = part(telemetry)
-            return abs(value) if isinstance(value, int | float) else None
-
-        return size
+        return _of_number(abs, self._part(argument))
 
     def _name(self, node: ast.expr) -> Callable[[Telemetry], Value]:
         """Compile a keyword, MESSAGE.field, or MESSAGE.field[3]."""
@@ -216,23 +198,21 @@ class Condition:
                 f"= {self.text!r}: {layout.name} has no number {node.attr}[{index}]; "
                 f"{suggest_known(node.attr, layout.fields)}"
             )
-        self.ids.add(layout.id)
-        name, number = field.name, layout.id
-
-        def read(telemetry: Telemetry) -> Value:
-            frame = telemetry.newest.get(number)
-            return None if frame is None else frame.number(name, index)
-
-        return read
+        name = field.name
+        return self._newest(layout.name, lambda frame: frame.number(name, index))
 
     def _keyword(self, keyword: str) -> Callable[[Telemetry], Value]:
         if keyword not in KEYWORDS:
             raise ValueError(
                 f"= {self.text!r}: {keyword} is unknown; words are {', '.join(KEYWORDS)}"
             )
-        number = message_layout(KEYWORDS[keyword]).id
+        return self._newest(*KEYWORDS[keyword])
+
+    def _newest(
+        self, message: str, meaning: Callable[[Frame], Value]
+    ) -> Callable[[Telemetry], Value]:
+        number = message_layout(message).id
         self.ids.add(number)
-        meaning = {"armed": is_armed, "mode": flight_mode, "altitude_m": altitude_m}[keyword]
 
         def read(telemetry: Telemetry) -> Value:
             frame = telemetry.newest.get(number)
@@ -242,8 +222,16 @@ class Condition:
         return read
 
 
-def _refused(a: Any, b: Any) -> bool:
-    raise AssertionError("refused when parsed")
+def _of_number(
+    act: Callable[[Any], Value], part: Callable[[Telemetry], Value]
+) -> Callable[[Telemetry], Value]:
+    """Compile a function of one number; text has none."""
+
+    def found(telemetry: Telemetry) -> Value:
+        value = part(telemetry)
+        return act(value) if isinstance(value, int | float) else None
+
+    return found
 
 
 def is_armed(heartbeat: Frame) -> bool:
@@ -264,6 +252,13 @@ def flight_mode(heartbeat: Frame) -> str | int:
 def altitude_m(position: Frame) -> float:
     """Return the height above home [m]."""
     return position.number("relative_alt") / 1000.0
+
+
+KEYWORDS: Mapping[str, tuple[str, Callable[[Frame], Value]]] = {
+    "armed": ("HEARTBEAT", is_armed),
+    "mode": ("HEARTBEAT", flight_mode),
+    "altitude_m": ("GLOBAL_POSITION_INT", altitude_m),
+}
 
 
 def event_condition(text: str) -> Condition | None:

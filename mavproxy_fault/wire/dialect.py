@@ -70,7 +70,8 @@ class Field:
 class Layout:
     """One message: `length` is the full payload, `base_length` excludes extensions (MAVLink 1).
 
-    `instance` names the field that distinguishes sensors of one kind ("" if none does).
+    `instance` names the field that distinguishes sensors of one kind, by the dialect or `id` ("" if
+    none does).
     """
 
     name: str
@@ -120,14 +121,8 @@ def find_layout(key: str | int) -> Layout | None:
         # Extensions come last, so the MAVLink 1 payload ends before the first of them.
         if not extension:
             base_length = offset
-    return Layout(
-        name, entry["id"], entry["crc_extra"], entry["instance"], fields, offset, base_length
-    )
-
-
-def unknown_layout(number: int, crc_extra: int) -> Layout:
-    """Return the layout of a message that the dialect lacks: only its header can be read."""
-    return Layout(f"UNKNOWN_{number}", number, crc_extra, "", {}, 0, 0)
+    instance = entry["instance"] or ("id" if "id" in fields else "")
+    return Layout(name, entry["id"], entry["crc_extra"], instance, fields, offset, base_length)
 
 
 def describe_unknown(counts: Mapping[int, int]) -> str:

@@ -16,7 +16,7 @@ from typing import Literal
 
 from fastcrc.crc16 import mcrf4xx
 
-from mavproxy_fault.wire.dialect import Layout, find_layout, unknown_layout
+from mavproxy_fault.wire.dialect import Layout, find_layout
 from mavproxy_fault.wire.frame import (
     CRC_LENGTH,
     HEADER_V1,
@@ -56,12 +56,12 @@ class Junk:
         checked = head + self.raw[1]
         extra = _crc_extra_of(self.raw[1:checked], self.raw[checked : checked + CRC_LENGTH])
         assert extra is not None
-        return Frame(self.raw, unknown_layout(number, extra))
+        return Frame(self.raw, Layout(f"UNKNOWN_{number}", number, extra, "", {}, 0, 0))
 
 
 @dataclass(slots=True)
 class ParserCounters:
-    """Totals of one parser; `crc_errors` counts positions that looked like a known message."""
+    """Totals of parsers that share them; `crc_errors` are positions that looked like a message."""
 
     bytes: int = 0
     frames: int = 0
@@ -76,19 +76,12 @@ class ParserCounters:
         if number in self.unknown_ids or len(self.unknown_ids) < MAX_UNKNOWN_IDS:
             self.unknown_ids[number] = self.unknown_ids.get(number, 0) + 1
 
-    def add(self, other: "ParserCounters") -> None:
-        """Add another parser's counts."""
-        for name in ("bytes", "frames", "unknown", "crc_errors", "junk_bytes"):
-            setattr(self, name, getattr(self, name) + getattr(other, name))
-        for number, count in other.unknown_ids.items():
-            self.unknown_ids[number] = self.unknown_ids.get(number, 0) + count
-
 
 class Parser:
-    """The parser of one stream; it keeps no state between datagrams."""
+    """The parser of one stream; it keeps no state between datagrams, and adds to `counters`."""
 
-    def __init__(self) -> None:
-        self.counters = ParserCounters()
+    def __init__(self, counters: ParserCounters | None = None) -> None:
+        self.counters = counters or ParserCounters()
         self._incomplete = b""
         self._layouts: dict[int, Layout | None] = {}
         self._frame_ahead = NO_FRAME  # start and end of a verified frame further on

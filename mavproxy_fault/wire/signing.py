@@ -66,31 +66,6 @@ def next_cell(streams: MutableSequence[int], sender: int, link_id: int, stamp: i
     return cell if cell >= 0 and stamp >= streams[cell] else -1
 
 
-class Verifier:
-    """Verifies signatures with one key; `streams` has the state of `stream_cell`."""
-
-    def __init__(self, key: bytes) -> None:
-        self.key = key
-        self.streams = array("q", bytes(16 * STREAMS))
-
-    def verify(self, frame: Frame) -> bool:
-        """Whether a signed frame's signature is correct and newer than the stream's last one."""
-        raw = frame.raw
-        if raw[-DIGEST_LENGTH:] != _digest(self.key, raw):
-            return False
-        stamp, sender = int.from_bytes(raw[STAMP_AT], "little"), frame.system << 8 | frame.component
-        cell = next_cell(self.streams, sender, raw[-SIGNATURE_LENGTH], stamp)
-        if cell >= 0:
-            self.streams[cell] = stamp + 1
-        return cell >= 0
-
-
-def resign_frame(frame: Frame, key: bytes) -> Frame:
-    """Sign a changed frame again, with its original link id and timestamp."""
-    # With a newer timestamp the sender's own next frames would look replayed.
-    return Frame(frame.raw[:-DIGEST_LENGTH] + _digest(key, frame.raw), frame.layout)
-
-
 def sign_frame(frame: Frame, key: bytes, link_id: int, stamp: int) -> Frame:
     """Sign an unsigned MAVLink 2 frame; `stamp` is in units of 10 us since 2015-01-01."""
     raw = frame.raw[:2] + bytes((frame.raw[2] | SIGNED,)) + frame.raw[3:-2]
@@ -135,22 +110,36 @@ class Signing:
 
     With a key, frames with a correct signature may be changed and are then signed again; all
     others are sealed: forwarded unchanged. `strip` removes the signatures of verified frames, or
-    of all frames if there is no key.
+    of all frames if there is no key. `streams` has the state of `stream_cell`.
     """
 
     def __init__(self, key: bytes | None = None, *, strip: bool = False) -> None:
         self.key = key
         self.strip = strip
-        self.verifier = Verifier(key or b"")
+        self.streams = array("q", bytes(16 * STREAMS))
+
+    def verify(self, frame: Frame) -> bool:
+        """Whether a signed frame's signature is correct and newer than the stream's last one."""
+        raw = frame.raw
+        if self.key is None or raw[-DIGEST_LENGTH:] != _digest(self.key, raw):
+            return False
+        stamp, sender = int.from_bytes(raw[STAMP_AT], "little"), frame.system << 8 | frame.component
+        cell = next_cell(self.streams, sender, raw[-SIGNATURE_LENGTH], stamp)
+        if cell >= 0:
+            self.streams[cell] = stamp + 1
+        return cell >= 0
 
     def verify_incoming(self, frame: Frame) -> tuple[Frame, bool]:
         """Return a signed frame, stripped if requested, and whether it is sealed."""
-        if self.key is not None and not self.verifier.verify(frame):
+        if self.key is not None and not self.verify(frame):
             return frame, True
         if self.strip:
             return strip_signature(frame), False
         return frame, self.key is None
 
     def sign_outgoing(self, frame: Frame) -> Frame:
-        """Sign a changed frame again if there is a key."""
-        return frame if self.key is None else resign_frame(frame, self.key)
+        """Sign a changed frame again if there is a key, with its link id and timestamp."""
+        if self.key is None:
+            return frame
+        # With a newer timestamp the sender's own next frames would look replayed.
+        return Frame(frame.raw[:-DIGEST_LENGTH] + _digest(self.key, frame.raw), frame.layout)

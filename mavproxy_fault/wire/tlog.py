@@ -293,25 +293,16 @@ def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterat
 
 
 def read_ordered(
-    path: str | Path,
+    data: NDArray[np.uint8],
     only: Collection[str],
     frames: int = ORDERED_FRAMES,
     junk: list[int] | None = None,
 ) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
     """Read columns of up to `frames` frames at a time, with each row's index (n,) among them.
 
-    The number of bytes outside any frame is added to `junk[0]`.
+    `data` are a log's bytes (n,), such as those of `map_bytes`. The number of bytes outside any
+    frame is added to `junk[0]`.
     """
-    yield from read_ordered_bytes(map_bytes(Path(path)), only, frames, junk)
-
-
-def read_ordered_bytes(
-    data: NDArray[np.uint8],
-    only: Collection[str],
-    frames: int = ORDERED_FRAMES,
-    junk: list[int] | None = None,
-) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
-    """Do the same as `read_ordered` for a log's bytes (n,) in memory."""
     slots = {name: slot for slot, name in enumerate(message_names())}
     for found, _, junk_bytes in _blocks(data, frames):
         if junk is not None:

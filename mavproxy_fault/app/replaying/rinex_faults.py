@@ -27,6 +27,7 @@ from mavproxy_fault.wire.plant_names import SIGNALS
 
 PROBE_BYTES = 120  # contains the first line, Hatanaka-compressed or not
 FROM_RECEIVER = "from-vehicle"
+ON_SIGNALS = tuple(f"{one}[" for one in SIGNALS)  # beginnings of names
 
 
 def is_rinex(path: Path) -> bool:
@@ -99,16 +100,14 @@ def _adapt_entry(entry: Entry) -> Entry:
     """Adapt an entry to the epochs of a file, which then carry plant parameters too."""
     if isinstance(entry.fault, SatelliteFault):
         return entry
-    if isinstance(entry.fault, PlantFault) and all(_is_signal(name) for name in entry.fault.names):
+    if isinstance(entry.fault, PlantFault) and all(
+        name.startswith(ON_SIGNALS) for name in entry.fault.names
+    ):
         return msgspec.structs.replace(entry, ids=frozenset({RangeEpoch.id}))
     raise ConfigError(
         f"{entry.id}: {entry.name} on {', '.join(entry.targets) or 'the link'} cannot act"
         " on a RINEX file; give a PSEUDORANGE target or a PLANT target of satellites"
     )
-
-
-def _is_signal(name: str) -> bool:
-    return name.startswith(tuple(f"{one}[" for one in SIGNALS))
 
 
 def _sky(path: Path, navigation: Sequence[Path], entry: Entry) -> Sky:

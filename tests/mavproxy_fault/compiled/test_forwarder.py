@@ -16,7 +16,7 @@ from mavproxy_fault.links.link import enlarge_buffers
 from mavproxy_fault.links.udp import UdpClient, UdpServer
 from mavproxy_fault.live.control import LiveControl
 from mavproxy_fault.live.subscriptions import Watched
-from mavproxy_fault.proxy.capture_buffer import CaptureBuffer, CapturedBytes
+from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole
@@ -64,7 +64,7 @@ class Run(NamedTuple):
     got: list[bytes]
     labels: list[Label]
     figures: list[dict[str, Any]]
-    taped: CapturedBytes | None
+    taped: CaptureBuffer | None
 
 
 def frame(name: str, seq: int, system: int = 1, component: int = 1, **values: object) -> bytes:

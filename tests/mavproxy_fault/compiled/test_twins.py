@@ -319,7 +319,7 @@ def finished(core: Core, sent: list[bytes], now_us: int) -> Outcome:
     # As one: machine code may send a delayed frame before the core would, but in the same order.
     data = b"".join([*sent, *(send.data for send in core.due(now_us + 10_000_000))])
     core.finish(now_us + 10_000_000)
-    streams = core.signing and core.signing.verifier.streams
+    streams = core.signing and core.signing.streams
     labels = [msgspec.json.encode(label) for label in core.drain_labels()]
     return Outcome(data, labels, core.states, core.senders, streams)
 

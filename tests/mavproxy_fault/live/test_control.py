@@ -15,7 +15,6 @@ from mavproxy_fault.live.failure_command import (
     PARTS,
     TYPES,
     UNITS,
-    instance_field,
 )
 from mavproxy_fault.live.rflysim import read_map
 from mavproxy_fault.proxy.engine import Engine
@@ -49,7 +48,7 @@ def failure(
 @functools.cache
 def healthy(name: str, instance: int, i: int) -> Frame:
     """A frame of a sensor whose values vary."""
-    field = instance_field(name)
+    field = message_layout(name).instance
     values: dict[str, object] = {
         n: [1 + i % 50] * f.count if f.count else 1 + i % 50
         for n, f in message_layout(name).fields.items()
@@ -156,12 +155,12 @@ def test_every_unit_and_type_acts_on_the_addressed_instances_only(unit: int, kin
         it = control(part.message)
         command = failure(unit, kind, NAN, mask) if mask else failure(unit, kind, 0)
         chosen = {n for n in INSTANCES if mask >> n - 1 & 1} or set(INSTANCES)
-        if not instance_field(part.message) and not part.indexed and chosen - {1} and mask:
+        if not message_layout(part.message).instance and not part.indexed and chosen - {1} and mask:
             assert result(it, command) is None  # that message has one instance only
             assert affected(it, part.message) == set()
             continue
         assert result(it, command) == ACCEPTED
-        alone = part.indexed or not instance_field(part.message)
+        alone = part.indexed or not message_layout(part.message).instance
         assert affected(it, part.message) == (set(INSTANCES) if alone else chosen), mask
         assert result(it, failure(unit, 0)) == ACCEPTED
         assert it.engine.ids() == []

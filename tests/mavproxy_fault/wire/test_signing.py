@@ -4,13 +4,7 @@ from typing import Any
 from mavproxy_fault.fault_parts.elements import locate_element, patch_frame
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
-from mavproxy_fault.wire.signing import (
-    Verifier,
-    derive_key,
-    resign_frame,
-    sign_frame,
-    strip_signature,
-)
+from mavproxy_fault.wire.signing import Signing, derive_key, sign_frame, strip_signature
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
@@ -47,7 +41,7 @@ def moved(frame: Frame) -> Frame:
 
 
 def test_pymavlinks_signature_verifies_once() -> None:
-    verifier = Verifier(KEY)
+    verifier = Signing(KEY)
     frame = frame_of_pymavlink(pymavlink_link())
     assert verifier.verify(frame)
     assert not verifier.verify(frame), "a replayed frame is refused"
@@ -55,13 +49,13 @@ def test_pymavlinks_signature_verifies_once() -> None:
 
 def test_a_changed_payload_or_another_key_is_refused() -> None:
     frame = frame_of_pymavlink(pymavlink_link())
-    assert not Verifier(KEY).verify(moved(frame))
-    assert not Verifier(derive_key("wrong")).verify(frame)
+    assert not Signing(KEY).verify(moved(frame))
+    assert not Signing(derive_key("wrong")).verify(frame)
 
 
 def test_pymavlink_accepts_a_patched_frame_signed_again_and_refuses_it_otherwise() -> None:
     changed = moved(frame_of_pymavlink(pymavlink_link()))
-    assert pymavlink_accepts(resign_frame(changed, KEY))
+    assert pymavlink_accepts(Signing(KEY).sign_outgoing(changed))
     assert not pymavlink_accepts(changed)
 
 
