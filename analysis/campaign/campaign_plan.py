@@ -1,11 +1,10 @@
 """The plan of a campaign: its cells as sequences of jobs.
 
-A sequence yields a job and is sent its results; a grid cell yields one job, a bisection several.
-Cells with stored results are not flown again.
+A sequence yields its next job once the results of the last one are stored; a grid cell has one job,
+a bisection several. Cells with stored results are not flown again.
 """
 
-from collections.abc import Generator, Iterable, Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cached_property
 from itertools import groupby, product
 from pathlib import Path
@@ -25,7 +24,7 @@ from mavproxy_fault.documents.extras import import_extra
 MAX_BATCH_CELLS = 256  # cells in one batch, so that progress shows and a kill loses little
 KnownResults = Mapping[str, CellResult]
 SizedSeries = tuple[Cell, float | None]
-JobSequence = Generator[Job, list[CellResult], None]
+JobSequence = Iterator[Job]
 
 
 class CampaignPlan:
@@ -121,7 +120,7 @@ class CampaignPlan:
     def job_sequences(
         self, known: KnownResults, references: Mapping[str, CampaignFlight]
     ) -> Iterator[JobSequence]:
-        """Yield the job sequences of cells without a stored result."""
+        """Yield the job sequences of cells without a stored result; `known` grows with answers."""
         if self.campaign.find == "critical":
             for cell in self._series():
                 yield self._critical(cell, known, references)
@@ -131,7 +130,7 @@ class CampaignPlan:
             for cells in self._grid():
                 missing = tuple(cell for cell in cells if cell.key not in known)
                 if missing:
-                    yield _single_job(self._job(missing, references))
+                    yield iter([self._job(missing, references)])
 
     @cached_property
     def _covering(self) -> frozenset[tuple[object, ...]]:
@@ -195,9 +194,7 @@ class CampaignPlan:
         for _, batch in groupby(ordered, key=_batch_key):
             listed = tuple(batch)
             for start in range(0, len(listed), MAX_BATCH_CELLS):
-                yield _single_job(
-                    CompiledJob(self.campaign, listed[start : start + MAX_BATCH_CELLS])
-                )
+                yield iter([CompiledJob(self.campaign, listed[start : start + MAX_BATCH_CELLS])])
 
     def _job(self, cells: tuple[Cell, ...], references: Mapping[str, CampaignFlight]) -> Job:
         if self.campaign.compiled:
@@ -205,16 +202,16 @@ class CampaignPlan:
         reference = references[self.reference_key(cells[0])]
         return FlightJob(self.campaign, cells, reference, self._folder(cells[0]))
 
-    def _bisect(
-        self, series: Cell, known: KnownResults
-    ) -> Generator[Cell, CellResult, CriticalMagnitude | None]:
-        """Bisect one series: yield the cells without a stored result, and return the critical
-        magnitude; an aborted flight ends it."""
+    def _bisect(self, series: Cell, known: KnownResults) -> Cell | CriticalMagnitude | None:
+        """Bisect one series by the stored results: return the critical magnitude, or the next cell
+        to fly; None after an aborted flight."""
         search = bisect_magnitude(self.campaign.all_faults[series.fault].interval())
         magnitude = next(search)
         while True:
             cell = cell_at(series, magnitude, series.subject)
-            result = known.get(cell.key) or (yield cell)
+            result = known.get(cell.key)
+            if result is None:
+                return cell
             if result.outcome == ABORTED:
                 # Without an outcome the bisection cannot choose a half.
                 return None
@@ -227,33 +224,18 @@ class CampaignPlan:
         self, series: Cell, known: KnownResults, references: Mapping[str, CampaignFlight]
     ) -> JobSequence:
         """Yield the flights of the bisection of one series."""
-        search = self._bisect(series, known)
-        with suppress(StopIteration):
-            cell = next(search)
-            while True:
-                (result,) = yield self._job((cell,), references)
-                cell = search.send(result)
+        while isinstance(cell := self._bisect(series, known), Cell):
+            yield self._job((cell,), references)
 
     def critical_magnitudes(self, known: KnownResults) -> dict[tuple[str, ...], CriticalMagnitude]:
         """Return the results of the completed bisections, by series."""
-        results = {}
-        for series in self._series():
-            try:
-                # One that needs a flight is not complete.
-                next(self._bisect(series, known))
-            except StopIteration as over:
-                if over.value is not None:
-                    results[series.series] = over.value
-        return results
+        found = {series.series: self._bisect(series, known) for series in self._series()}
+        return {key: one for key, one in found.items() if isinstance(one, CriticalMagnitude)}
 
 
 def cell_at(series: Cell, magnitude: float | None, subject: str) -> Cell:
     """Return the cell of a series with this magnitude and subject."""
     return msgspec.structs.replace(series, magnitude=magnitude, subject=subject)
-
-
-def _single_job(job: Job) -> JobSequence:
-    yield job
 
 
 def _batch_key(cell: Cell) -> tuple[str, str, str, int]:

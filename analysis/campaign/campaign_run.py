@@ -57,16 +57,11 @@ class CampaignRun:
         self.store.add_reference(key, answer.flight)
 
     def _fly_cells(self, sequence: JobSequence) -> RunningJobs:
-        job = next(sequence, None)
-        while job is not None:
+        for job in sequence:
             answer = answer_of(job, (yield job))
             # Stored before anything else, so that a kill loses nothing.
             self.store.add(answer.results, answer.flight)
             self.progress(answer.results)
-            try:
-                job = sequence.send(answer.results)
-            except StopIteration:
-                return
 
 
 def answer_of(job: Job, answer: JobAnswer | JobFailure) -> JobAnswer:

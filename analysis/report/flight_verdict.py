@@ -63,7 +63,8 @@ def assess_flight(
     checks = [_expected(check, recording) for check in raw]
     faults = flight.summary.get("faults") or fault_reactions(flight.labels, recording, raw)
     # The criteria of a run, or, for any labelled log, that no fault was missed.
-    checks += [_criterion(row) for row in flight.summary.get("criteria", ()) or _missed(faults)]
+    missed = map(msgspec.structs.asdict, check_missed_faults(Criteria(), faults))
+    checks += map(_criterion, flight.summary.get("criteria") or missed)
     requirements = read_requirements("requirements", thresholds.requirements)
     judged = judge_requirements(requirements, recording, flight.labels, flight.results)
     checks += map(_requirement_check, judged)
@@ -114,11 +115,6 @@ def _found(checks: Sequence[FlightCheck]) -> list[Span]:
         if check.verdict in (WARN, FAIL) and not check.name.endswith("of the autopilot")
         for start, end in check.windows
     ]
-
-
-def _missed(faults: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The criterion for every log with labels: no fault missed."""
-    return [msgspec.structs.asdict(row) for row in check_missed_faults(Criteria(), faults)]
 
 
 def _summary(

@@ -27,27 +27,21 @@ def make_folder(out: str | None, name: str) -> Path:
         If `out` holds an earlier run, or cannot be created.
     """
     if out is not None:
-        folder = Path(out)
+        folder, where, cure = Path(out), f"--out {out}", "give a writable folder"
         # A run that was killed has a log but no summary.
         if (folder / "summary.json").exists() or (folder / "received.tlog").exists():
-            raise ConfigError(f"--out {out}: the folder holds an earlier run; give another folder")
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise ConfigError(f"--out {out}: {error.strerror}; give a writable folder") from error
-        return folder
-    for number in itertools.count(1):
-        folder = Path("runs") / f"{number:04d}-{name}"
+            raise ConfigError(f"{where}: the folder holds an earlier run; give another folder")
+    else:
         # A number is used only once, whatever the name.
-        if not any(Path("runs").glob(f"{number:04d}-*")):
-            try:
-                folder.mkdir(parents=True)
-            except OSError as error:
-                raise ConfigError(
-                    f"{folder}: {error.strerror}; give a writable folder with --out"
-                ) from error
-            return folder
-    raise AssertionError
+        numbers = (f"{number:04d}-" for number in itertools.count(1))
+        free = next(number for number in numbers if not any(Path("runs").glob(f"{number}*")))
+        folder = Path("runs") / f"{free}{name}"
+        where, cure = str(folder), "give a writable folder with --out"
+    try:
+        folder.mkdir(parents=True, exist_ok=out is not None)
+    except OSError as error:
+        raise ConfigError(f"{where}: {error.strerror}; {cure}") from error
+    return folder
 
 
 class ResultFile:

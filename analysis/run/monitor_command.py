@@ -65,8 +65,8 @@ def main(args: argparse.Namespace) -> int:
     elif args.log is not None and Path(args.log).is_file() and is_autopilot_log(Path(args.log)):
         config = msgspec.structs.replace(config, link=False)
     # On a link, the proxy is still writing the labels: they are read again at the end.
-    if args.link is None:
-        read_optional_labels(args.labels)  # report a wrong name before the work
+    if args.link is None and args.labels is not None:
+        read_labels(Path(args.labels))  # report a wrong name before the work
     # Read before the folder is made, since it may fail.
     recording = None if args.rinex is None else read_rinex_block(args)
     config, learned = learn_from(recording, config)
@@ -96,7 +96,9 @@ def main(args: argparse.Namespace) -> int:
             monitor_recording(recording[0], monitor, deliver, stop)
         else:
             _monitor_source(args, monitor, deliver, stop, condition)
-    labels = read_optional_labels(args.labels) if injected is None else latest_labels(injected)
+    labels = None if injected is None else latest_labels(injected)
+    if injected is None and args.labels is not None:
+        labels = read_labels(Path(args.labels))
     if labels is None:  # without labels, no fault can count as missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)
@@ -191,17 +193,6 @@ def learn_from(
         return config, None
     detector = msgspec.structs.replace(config.detector, sigma=learned.sigma)
     return msgspec.structs.replace(config, detector=detector), learned
-
-
-def read_optional_labels(path: str | None) -> list[Label] | None:
-    """Read the labels of a file; None without a file.
-
-    Raises
-    ------
-    ConfigError
-        If the file contains no labels.
-    """
-    return None if path is None else read_labels(Path(path))
 
 
 def report_log_damage(summary: dict[str, Any], condition: LogCondition) -> None:

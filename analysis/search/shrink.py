@@ -17,6 +17,7 @@ import numpy as np
 from analysis.search.evaluation.evaluator import Evaluator
 from analysis.search.space.dimensions import target_of
 from analysis.search.space.fault_range import healthy_value
+from analysis.search.space.section import section_values
 from analysis.search.space.test_file import (
     InitialState,
     Mission,
@@ -33,24 +34,19 @@ COMPILED_ROUNDS, PROXIED_ROUNDS = 7, 3  # halvings; chosen: to 1/128, and to 1/8
 
 def pin_values(test: TestFile, values: Mapping[str, float]) -> TestFile:
     """The test with every range replaced by its value: a file that repeats this case."""
-
-    def part(section: str) -> dict[str, float]:
-        head = section + "."
-        return {k.removeprefix(head): float(v) for k, v in values.items() if k.startswith(head)}
-
     faults = []
     for i, fault in enumerate(test.faults):
-        own = part(f"faults[{i}]")
+        own = section_values(values, f"faults[{i}]")
         target = target_of(test, i, own.pop("target"))
         faults.append(msgspec.structs.replace(fault, target=target, any_of=[], **own))
     return msgspec.structs.replace(
         test,
-        initial=InitialState(**part("initial")),
-        controls=SearchControls(**part("controls")),
-        mission=Mission(**part("mission")) if test.mission is not None else None,
-        wind=SteadyWind(**part("wind")),
-        sensors=SearchSensors(**part("sensors")),
-        vary={name: (value, value) for name, value in part("vary").items()},
+        initial=InitialState(**section_values(values, "initial")),
+        controls=SearchControls(**section_values(values, "controls")),
+        mission=Mission(**section_values(values, "mission")) if test.mission is not None else None,
+        wind=SteadyWind(**section_values(values, "wind")),
+        sensors=SearchSensors(**section_values(values, "sensors")),
+        vary={name: (value, value) for name, value in section_values(values, "vary").items()},
         faults=faults,
     )
 

@@ -4,6 +4,7 @@ import csv
 import json
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -97,13 +98,8 @@ def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str,
     if plan.campaign.find == "critical":
         known = {result.cell.key: result for result in results}
         summary["critical"] = [
-            {
-                "series": series,
-                "magnitude": c.magnitude,
-                "harmless": c.harmless,
-                "flights": c.flights,
-            }
-            for series, c in plan.critical_magnitudes(known).items()
+            {"series": series, **asdict(critical)}
+            for series, critical in plan.critical_magnitudes(known).items()
         ]
     return summary
 

@@ -37,8 +37,11 @@ from mavproxy_fault.documents.yaml_document import without_none, write_yaml
 from mavproxy_fault.faults.registry import fault_class
 from mavproxy_fault.schedule.presets import read_preset
 
-# A page of paper takes all columns: hashes and commands wrap.
-PRINTED = "@page { size: landscape; } .wide td:nth-last-child(-n+2) { overflow-wrap: anywhere; }"
+# A page of paper takes all columns: hashes and commands wrap. A screen scrolls: they wrap less.
+STYLE = (
+    "@page { size: landscape; } .wide td:nth-last-child(-n+2) { overflow-wrap: anywhere; } "
+    "@media screen { .wide td:nth-last-child(-n+2) { min-width: 22ch; } }"
+)
 TITLES = ("Inputs", "Failure modes and effects", "Requirements")
 Row = dict[str, str]
 
@@ -187,7 +190,7 @@ def render_page(campaign: CampaignFile, tables: dict[str, list[Row]]) -> str:
         "under an autopilot except measured numbers; the command makes them again, in this folder."
         "</p>" + "".join(parts) + "</main>"
     )
-    return html_document(name, read_asset("page.css") + PRINTED, body, "")
+    return html_document(name, read_asset("page.css") + STYLE, body, "")
 
 
 def file_hash(path: str) -> str:

@@ -161,13 +161,11 @@ class FlightData:
 
 def join_recordings(first: FlightData, second: FlightData) -> FlightData:
     """Merge two recordings on one axis; texts such as the name are those of the first."""
-    together: dict[str, Any] = {
-        part.name: getattr(first, part.name) + getattr(second, part.name)
-        for part in fields(FlightData)
-        if isinstance(getattr(first, part.name), (list, tuple))
-    }
-    for name in ("parameters", "messages", "defaults", "printed", "identity"):
-        together[name] = getattr(first, name) | getattr(second, name)
+    together: dict[str, Any] = {}
+    for name in (part.name for part in fields(FlightData)):
+        ours, theirs = getattr(first, name), getattr(second, name)
+        if isinstance(ours, (list, tuple, dict)):
+            together[name] = ours | theirs if isinstance(ours, dict) else ours + theirs
     return replace(
         first,
         **together

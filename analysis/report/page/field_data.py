@@ -5,6 +5,7 @@ to fit the size; beside it (`report-data/`) they are complete, as scripts that p
 the page.
 """
 
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -75,15 +76,12 @@ def _megabytes(where: str) -> float:
 
 def _rows(sizes: list[tuple[int, int]], cells: float) -> int:
     """The row limit per message that keeps the total within `cells`."""
-    # Bisection: the number of cells increases with the limit.
-    low, high = 2, max((rows for rows, _ in sizes), default=2)
-    while low < high:
-        middle = (low + high + 1) // 2
-        if sum(min(rows, middle) * columns for rows, columns in sizes) <= cells:
-            low = middle
-        else:
-            high = middle - 1
-    return low
+    # The number of cells increases with the limit.
+    limits = range(2, max((rows for rows, _ in sizes), default=2) + 1)
+    fits = bisect_right(
+        limits, cells, key=lambda most: sum(min(rows, most) * columns for rows, columns in sizes)
+    )
+    return limits[max(fits - 1, 0)]
 
 
 def _columns(message: Message, step: int) -> Iterator[tuple[str, Vector]]:

@@ -1,7 +1,7 @@
 """Score an estimator on a compiled flight with faults: attitude, states, inverted sensors."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,6 @@ from analysis.search.evaluation.compiled_flight import (
     estimate_attitude,
     sampled_flight,
 )
-from analysis.search.evaluation.flight_scores import FlightScores
 from analysis.search.space.point_scenario import document_of, faults_of
 from analysis.search.space.sample_faults import break_samples
 from analysis.search.space.test_file import StateScales, TestFile
@@ -33,6 +32,23 @@ STATES = (
     "north_m", "east_m", "down_m", "u_mps", "v_mps", "w_mps", "roll_deg", "pitch_deg", "yaw_deg",
     "p_dps", "q_dps", "r_dps",
 )  # fmt: skip
+
+
+class FlightScores(NamedTuple):
+    """Scores of one flight: `error` is the criterion in its unit, `rmse_deg` and `largest_deg` (4,)
+    are those of `AXES`; `broken_limit` is the index into `envelope.LIMITS` of what ended it.
+
+    `parts`, where they were asked for: as `score_breakdown` gives them, for the inverse model also
+    the RMSE of twelve states and of the inverted sensor models.
+    """
+
+    error: float
+    rmse_deg: Array
+    largest_deg: Array
+    lasted_s: float
+    broken_limit: int
+    steps: int
+    parts: dict[str, Any]
 
 
 class EstimatedFlight(NamedTuple):

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.scoring.attitude_scores import AXES
-from analysis.search.evaluation.compiled_score import score_compiled
+from analysis.search.evaluation.compiled_score import FlightScores, score_compiled
 from analysis.search.evaluation.envelope import pack_envelope, violated_limit
-from analysis.search.evaluation.flight_scores import FlightScores
 from analysis.search.evaluation.point_flight import fly_point
 from analysis.search.space.airframe import has_rotors, read_airframe, trim_values
 from analysis.search.space.dimensions import Space, fault_entries, flight_entries, space_of

@@ -11,6 +11,7 @@ from analysis.search.space.airframe import has_rotors
 from analysis.search.space.dimensions import target_of
 from analysis.search.space.fault_picks import expand_picks
 from analysis.search.space.fault_range import healthy_value
+from analysis.search.space.section import section_values
 from analysis.search.space.test_file import AUTOPILOT, TestFile
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.environment.air import SEA_LEVEL_K, SEA_LEVEL_PA
@@ -102,16 +103,11 @@ def _varied(scenario: Document, values: Mapping[str, float]) -> Document:
 
 def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
     """The search's own aircraft in the simulator: the same start, controls, air and sensors."""
-
-    def part(section: str) -> dict[str, float]:
-        head = section + "."
-        return {k.removeprefix(head): float(v) for k, v in values.items() if k.startswith(head)}
-
-    start, sensors = part("initial"), part("sensors")
+    start, sensors = section_values(values, "initial"), section_values(values, "sensors")
     height_m = start.pop("height_m")
     heading_deg = start.pop("yaw_deg")
     # The sections have the same keys as a scenario.
-    wind = part("wind")
+    wind = section_values(values, "wind")
     return {
         "name": "worst case",
         "duration_s": test.duration_s,
@@ -123,7 +119,7 @@ def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
             "heading_deg": heading_deg,
             "state": start,
         },
-        **_controlled(test, part("controls"), part("mission")),
+        **_controlled(test, section_values(values, "controls"), section_values(values, "mission")),
         "environment": {
             "wind_ned_mps": [wind[f"{axis}_mps"] for axis in ("north", "east", "down")],
             "gusts": test.gusts,
