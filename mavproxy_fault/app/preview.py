@@ -118,7 +118,8 @@ def preview_curves(entry: Entry, seed: int) -> list[FaultCurve]:
     engine = Engine(Schedule(seed, (timed,)))
     engine.start_at(0)
     found: dict[str, FaultCurve] = {}
-    for name, t_s, healthy, faulty in _rows(engine, entry, sample_times(begin_s, end_s)):
+    times_s = [begin_s + i / RATE_HZ for i in range(int((end_s - begin_s) * RATE_HZ))]
+    for name, t_s, healthy, faulty in _rows(engine, entry, times_s):
         curve = found.setdefault(name, FaultCurve(name, [], [], [], []))
         if faulty is None:
             curve.lost.append(t_s)
@@ -150,11 +151,6 @@ def _rows(engine: Engine, entry: Entry, times_s: Sequence[float]) -> Iterator[Ro
     if entry.name.startswith("time-"):
         return _field_rows(engine, "HIL_SENSOR", (("time_usec", 0),), times_s)
     return _link_rows(engine, entry, times_s)
-
-
-def sample_times(begin_s: float, end_s: float, rate_hz: float = RATE_HZ) -> list[float]:
-    """Return timestamps [s] at a fixed rate."""
-    return [begin_s + i / rate_hz for i in range(int((end_s - begin_s) * rate_hz))]
 
 
 def healthy_frame(name: str, t_s: float) -> Frame:

@@ -38,6 +38,10 @@ ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Div: lambda a, b: a / b if b else None,
     ast.BitAnd: lambda a, b: int(a) & int(b),
 }
+SIGN: Mapping[type[ast.unaryop], Callable[[Any], Any]] = {
+    ast.UAdd: operator.pos,
+    ast.USub: operator.neg,
+}
 # Chosen: longer than any hand-written condition; bounds the parser's time and depth.
 LENGTH_MAX = 500
 # Raised by Python's parser for hostile text.
@@ -55,13 +59,6 @@ PX4_AUTO = {
     1: "READY", 2: "TAKEOFF", 3: "LOITER", 4: "MISSION", 5: "RTL", 6: "LAND", 7: "RTGS",
     8: "FOLLOW", 9: "PRECLAND", 10: "VTOL TAKEOFF", 19: "GUIDED COURSE", 20: "DESCEND",
 }  # fmt: skip
-KEYWORDS: Mapping[str, str] = {
-    "armed": "HEARTBEAT",
-    "mode": "HEARTBEAT",
-    "altitude_m": "GLOBAL_POSITION_INT",
-}
-
-
 FLIGHT_EVENTS = {"arming": "armed", "take-off": "armed and altitude_m > 0.5"}
 FIRST_STAMP = "first-stamp"
 ITEM = re.compile(r"mission-item:(\d+)")
@@ -126,8 +123,11 @@ class Condition:
             parts = [self._part(one) for one in node.values]
             join = all if isinstance(node.op, ast.And) else any
             return lambda telemetry: join(part(telemetry) for part in parts)
-        if isinstance(node, ast.UnaryOp):
-            return self._unary(node)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            part = self._part(node.operand)
+            return lambda telemetry: not part(telemetry)
+        if isinstance(node, ast.UnaryOp) and type(node.op) in SIGN:
+            return self._of_number(SIGN[type(node.op)], node.operand)
         if isinstance(node, ast.Compare):
             return self._comparison(node)
         if isinstance(node, ast.BinOp) and type(node.op) in ARITHMETIC:
@@ -141,26 +141,26 @@ class Condition:
             "use fields, numbers, and, or, not, comparisons, + - * / &, abs(), count()"
         )
 
-    def _unary(self, node: ast.UnaryOp) -> Callable[[Telemetry], Value]:
-        part = self._part(node.operand)
-        if isinstance(node.op, ast.Not):
-            return lambda telemetry: not part(telemetry)
+    def _of_number(
+        self, act: Callable[[Any], Any], argument: ast.expr
+    ) -> Callable[[Telemetry], Value]:
+        part = self._part(argument)
 
-        def negative(telemetry: Telemetry) -> Value:
+        def result(telemetry: Telemetry) -> Value:
             value = part(telemetry)
-            return -value if isinstance(value, int | float) else None
+            return act(value) if isinstance(value, int | float) else None
 
-        return negative
+        return result
 
     def _comparison(self, node: ast.Compare) -> Callable[[Telemetry], Value]:
-        sides = [node.left, *node.comparators]
-        steps = [
-            self._both(COMPARE.get(type(op), _refused), left, right)
-            for op, left, right in zip(node.ops, sides, sides[1:], strict=False)
-        ]
         # `in` and `is` are not part of the language.
         if any(type(op) not in COMPARE for op in node.ops):
             raise ValueError(f"= {self.text!r}: has another comparison; use == != < <= > >=")
+        sides = [node.left, *node.comparators]
+        steps = [
+            self._both(COMPARE[type(op)], left, right)
+            for op, left, right in zip(node.ops, sides, sides[1:], strict=False)
+        ]
         return lambda telemetry: all(step(telemetry) for step in steps)
 
     def _both(
@@ -189,13 +189,7 @@ class Condition:
             number = find_message(argument.id).id
             self.ids.add(number)
             return lambda telemetry: telemetry.counts.get(number, 0)
-        part = self._part(argument)
-
-        def size(telemetry: Telemetry) -> Value:
-            value = part(telemetry)
-            return abs(value) if isinstance(value, int | float) else None
-
-        return size
+        return self._of_number(abs, argument)
 
     def _name(self, node: ast.expr) -> Callable[[Telemetry], Value]:
         """Compile a keyword, MESSAGE.field, or MESSAGE.field[3]."""
@@ -216,23 +210,22 @@ class Condition:
                 f"= {self.text!r}: {layout.name} has no number {node.attr}[{index}]; "
                 f"{suggest_known(node.attr, layout.fields)}"
             )
-        self.ids.add(layout.id)
-        name, number = field.name, layout.id
-
-        def read(telemetry: Telemetry) -> Value:
-            frame = telemetry.newest.get(number)
-            return None if frame is None else frame.number(name, index)
-
-        return read
+        name = field.name
+        return self._of_newest(layout.id, lambda frame: frame.number(name, index))
 
     def _keyword(self, keyword: str) -> Callable[[Telemetry], Value]:
         if keyword not in KEYWORDS:
             raise ValueError(
                 f"= {self.text!r}: {keyword} is unknown; words are {', '.join(KEYWORDS)}"
             )
-        number = message_layout(KEYWORDS[keyword]).id
+        message, meaning = KEYWORDS[keyword]
+        return self._of_newest(message_layout(message).id, meaning)
+
+    def _of_newest(
+        self, number: int, meaning: Callable[[Frame], Value]
+    ) -> Callable[[Telemetry], Value]:
+        """Compile what the newest frame of a message means."""
         self.ids.add(number)
-        meaning = {"armed": is_armed, "mode": flight_mode, "altitude_m": altitude_m}[keyword]
 
         def read(telemetry: Telemetry) -> Value:
             frame = telemetry.newest.get(number)
@@ -240,10 +233,6 @@ class Condition:
             return None if frame is None else meaning(frame)
 
         return read
-
-
-def _refused(a: Any, b: Any) -> bool:
-    raise AssertionError("refused when parsed")
 
 
 def is_armed(heartbeat: Frame) -> bool:
@@ -264,6 +253,13 @@ def flight_mode(heartbeat: Frame) -> str | int:
 def altitude_m(position: Frame) -> float:
     """Return the height above home [m]."""
     return position.number("relative_alt") / 1000.0
+
+
+KEYWORDS: Mapping[str, tuple[str, Callable[[Frame], Value]]] = {
+    "armed": ("HEARTBEAT", is_armed),
+    "mode": ("HEARTBEAT", flight_mode),
+    "altitude_m": ("GLOBAL_POSITION_INT", altitude_m),
+}
 
 
 def event_condition(text: str) -> Condition | None:
