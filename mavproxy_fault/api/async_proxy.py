@@ -1,13 +1,14 @@
 """The proxy API for asyncio: the same calls as coroutines."""
 
 import asyncio
+from contextlib import AbstractAsyncContextManager
 from typing import Any
 
 from mavproxy_fault.api.proxy_handle import LiveFault, Proxy
 from mavproxy_fault.wire.label import Label
 
 
-class AsyncFault:
+class AsyncFault(AbstractAsyncContextManager["AsyncFault"]):
     """A `LiveFault` for `async with`."""
 
     def __init__(self, fault: LiveFault) -> None:
@@ -23,14 +24,11 @@ class AsyncFault:
         """End it."""
         await asyncio.to_thread(self._fault.clear)
 
-    async def __aenter__(self) -> "AsyncFault":
-        return self
-
     async def __aexit__(self, *raised: object) -> None:
         await self.clear()
 
 
-class AsyncProxy:
+class AsyncProxy(AbstractAsyncContextManager["AsyncProxy"]):
     """A `Proxy` for `async with`, with the same parameters; `attach` joins a running proxy."""
 
     def __init__(self, *args: Any, attach: str | None = None, **keywords: Any) -> None:
@@ -52,9 +50,6 @@ class AsyncProxy:
     async def wait_for(self, condition: str, timeout_s: float = 5.0) -> None:
         """As `Proxy.wait_for`."""
         await asyncio.to_thread(self._proxy.wait_for, condition, timeout_s)
-
-    async def __aenter__(self) -> "AsyncProxy":
-        return self
 
     async def __aexit__(self, *raised: object) -> None:
         await asyncio.to_thread(self._proxy.close)

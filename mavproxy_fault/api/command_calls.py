@@ -59,7 +59,6 @@ def run(
     binary, parameters : str or Path, optional
         The autopilot's SITL program (default: that in the PATH) and parameter file.
     """
-    folder = _output_folder(out)
     values = {path: v if isinstance(v, str) else json.dumps(v) for path, v in (set or {}).items()}
     options: dict[str, object] = {
         "schedule": schedule,
@@ -74,16 +73,15 @@ def run(
         "speed": "max",
     }
     # A FAIL writes a summary too; a missing one means that the flight itself crashed.
-    _call("run", folder, scenario, options, "summary.json")
-    return Run(folder)
+    return Run(_call("run", out, scenario, options, "summary.json")[0])
 
 
 def campaign(
     file: Document, *, out: str | Path | None = None, workers: int | None = None
 ) -> Campaign:
     """Fly a campaign; `workers` is the number of processes, by default one for each processor."""
-    folder = _output_folder(out)
-    code = _call("campaign", folder, file, {"workers": workers}, "campaign-summary.json")
+    options = {"workers": workers}
+    folder, code = _call("campaign", out, file, options, "campaign-summary.json")
     return Campaign(folder, code == 0)
 
 
@@ -95,19 +93,15 @@ def search(
     workers: int | None = None,
 ) -> Search:
     """Search the worst case of a test file with `budget` evaluations, by default the file's."""
-    folder = _output_folder(out)
     options = {"budget": budget, "workers": workers}
-    _call("search", folder, file, options, "search-summary.json")
-    return Search(folder)
+    return Search(_call("search", out, file, options, "search-summary.json")[0])
 
 
 def report(
     log: str | Path, *, labels: str | Path | None = None, out: str | Path | None = None
 ) -> Report:
     """Write the report of a tlog, ULog or dataflash log, with the labels of its faults if given."""
-    folder = _output_folder(out)
-    _call("report", folder, log, {"labels": labels}, "summary.json")
-    return Report(folder)
+    return Report(_call("report", out, log, {"labels": labels}, "summary.json")[0])
 
 
 def monitor(
@@ -118,16 +112,20 @@ def monitor(
     out: str | Path | None = None,
 ) -> Run:
     """Detect and isolate faults in a log, with the monitor settings of `scenario` if given."""
-    folder = _output_folder(out)
     options = {"log": log, "labels": labels, "scenario": scenario}
-    _call("monitor", folder, None, options, "summary.json")
-    return Run(folder)
+    return Run(_call("monitor", out, None, options, "summary.json")[0])
 
 
 def _call(
-    command: str, folder: Path, file: object, options: Mapping[str, object], result: str
-) -> int:
-    """Run one command with the options that are not None, and return its exit code."""
+    command: str,
+    out: str | Path | None,
+    file: object,
+    options: Mapping[str, object],
+    result: str,
+) -> tuple[Path, int]:
+    """Run one command with the options that are not None; return its folder and exit code."""
+    folder = Path(out) if out is not None else Path(tempfile.mkdtemp(prefix="mavproxy-fault-"))
+    folder.mkdir(parents=True, exist_ok=True)
     arguments = [] if file is None else [_file_name("scenario", file, folder)]
     for name, value in options.items():
         if value is not None:
@@ -143,13 +141,7 @@ def _call(
         raise ConfigError(done.stderr.strip().removeprefix("mavproxy-fault: "))
     if not (folder / result).exists():
         raise RuntimeError(f"{folder}: the command ended without a result:\n{done.stderr}")
-    return done.returncode
-
-
-def _output_folder(out: str | Path | None) -> Path:
-    folder = Path(out) if out is not None else Path(tempfile.mkdtemp(prefix="mavproxy-fault-"))
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
+    return folder, done.returncode
 
 
 def _file_name(name: str, given: object, folder: Path) -> str:

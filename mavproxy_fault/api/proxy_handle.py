@@ -12,17 +12,13 @@ import numpy.random  # noqa: F401  or the first draw of a fault would delay a fr
 
 from mavproxy_fault.api.proxy_observer import ProxyObserver
 from mavproxy_fault.app.inject import live_entry
-from mavproxy_fault.app.proxy_command import link_roles, open_links
-from mavproxy_fault.app.recorder import Recorder
-from mavproxy_fault.app.server import Server
+from mavproxy_fault.app.proxy_command import make_server, open_links
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.live.control import LiveControl
 from mavproxy_fault.live.edit_log import EditLog
 from mavproxy_fault.live.session import LiveSession
 from mavproxy_fault.live.subscriptions import Watched
-from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
-from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
 from mavproxy_fault.schedule.triggers import Condition
@@ -32,7 +28,7 @@ from mavproxy_fault.wire.label import Label
 SHUTDOWN_TIMEOUT_S = 10.0
 
 
-class LiveFault:
+class LiveFault(contextlib.AbstractContextManager["LiveFault"]):
     """An active fault; leaving its `with` block ends it."""
 
     def __init__(self, proxy: "Proxy", id: str) -> None:
@@ -50,14 +46,11 @@ class LiveFault:
         if any(fault["id"] == self.id for fault in state["faults"]):
             self._proxy.query(f"fault/{self.id}/disarm")
 
-    def __enter__(self) -> "LiveFault":
-        return self
-
     def __exit__(self, *raised: object) -> None:
         self.clear()
 
 
-class Proxy:
+class Proxy(contextlib.AbstractContextManager["Proxy"]):
     """A proxy between a vehicle and other endpoints, open while its `with` block runs.
 
     Parameters
@@ -93,14 +86,11 @@ class Proxy:
         # Links first: callers read their addresses before any traffic.
         self._links = open_links(master, [out] if isinstance(out, str) else out)
         self._addresses = [link.name for link in self._links]
-        engine, tape = Engine(given), CaptureBuffer() if logdir else None
-        core = Core(link_roles(self._links), engine, tape=tape)
-        named = [{"name": role.name, "direction": role.direction} for role in core.links]
-        session = {"seed": given.seed, "schedule": engine.save(), "inject": True, "links": named}
-        recorder = Recorder(Path(logdir), session) if logdir else None
-        self._server = Server(self._links, core, tape=tape, recorder=recorder)
+        engine = Engine(given)
+        session = {"seed": given.seed, "schedule": engine.save(), "inject": True}
+        self._server = make_server(self._links, engine, logdir, session)
         control = LiveControl(engine, folders=None if zenoh == "off" else ())  # None: any file
-        edits = EditLog(core, tape)
+        edits = EditLog(self._server.core, self._server.tape)
         self._live = LiveSession(control, self._server.edit_time, edits, self._observer)
         self._live.open_bus(zenoh)
         # Before the thread starts, so that nothing is shared during the set-up.
@@ -247,9 +237,6 @@ class Proxy:
         self._woken.close()
         if self._failure is not None:
             raise RuntimeError("the proxy's loop has failed") from self._failure
-
-    def __enter__(self) -> "Proxy":
-        return self
 
     def __exit__(self, *raised: object) -> None:
         self.close()

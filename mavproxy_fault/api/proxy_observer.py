@@ -75,9 +75,9 @@ class ProxyObserver:
 
 def frames_of(watched: Watched) -> list[Frame]:
     """Rebuild the sent frames, so that a wait and a schedule's `when` use the same conditions."""
-    if find_layout(watched.message) is None:
+    described = find_layout(watched.message)
+    if described is None:
         return []  # pseudoranges travel in TUNNEL; no condition reads them
-    described = message_layout(watched.message)
     frames = []
     # The sent values if a fault changed them, else the received ones.
     for _, *row in watched.received if watched.sent is None else watched.sent:

@@ -27,15 +27,13 @@ def main(args: argparse.Namespace) -> int:
         raise ConfigError(
             "inject: give one of FAULT, --clear ID and --list; see `mavproxy-fault faults list`"
         )
-    if args.list:
-        with join_run(args) as bus:
-            state = query_run(bus, "state")
-        print_result(args, state["faults"], format_fault_table(state))
-        return 0
-    what, data = build_request(args)
+    what, data = ("state", {}) if args.list else build_request(args)
     with join_run(args) as bus:
         reply = query_run(bus, what, msgspec.json.encode(data))
-    print_result(args, reply, json.dumps(reply))
+    if args.list:
+        print_result(args, reply["faults"], format_fault_table(reply))
+    else:
+        print_result(args, reply, json.dumps(reply))
     return 0
 
 

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import gc
+import ipaddress
 import logging
 import os
 import signal
@@ -20,7 +21,7 @@ from mavproxy_fault.app.server import Server
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.bus import check_run_name
 from mavproxy_fault.links.link import Link
-from mavproxy_fault.links.peers import Admission, parse_networks
+from mavproxy_fault.links.peers import Admission
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.links.udp import UdpServer
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
@@ -62,14 +63,14 @@ def set_admission(links: Sequence[Link], allowed: Sequence[str], *, lock: bool) 
         If one of `allowed` is not an address or network.
     """
     try:
-        admission = Admission(parse_networks(allowed), lock, begins_with_frame)
+        networks = tuple(ipaddress.ip_network(text) for text in allowed)
     except ValueError as error:
         raise ConfigError(
             f"--allow-peer: {error}; give an address or network such as 192.168.1.0/24"
         ) from None
     for link in links:
         if isinstance(link, UdpServer):
-            link.peers.admission = admission
+            link.peers.admission = Admission(networks, lock, begins_with_frame)
 
 
 def link_roles(links: Sequence[Link]) -> list[LinkRole]:
@@ -78,6 +79,22 @@ def link_roles(links: Sequence[Link]) -> list[LinkRole]:
         LinkRole(link.name, "to-vehicle" if number else "from-vehicle", link.datagrams)
         for number, link in enumerate(links)
     ]
+
+
+def make_server(
+    links: Sequence[Link],
+    engine: "Engine | None",
+    logdir: str | Path | None,
+    session: dict[str, Any],
+    signing: Signing | None = None,
+    busy_poll: bool = False,
+) -> Server:
+    """Return the server of links; with a folder it records `session`, what a replay needs."""
+    tape = CaptureBuffer() if logdir else None
+    core = Core(link_roles(links), engine, signing=signing, tape=tape)
+    session["links"] = [{"name": role.name, "direction": role.direction} for role in core.links]
+    recorder = Recorder(Path(logdir), session) if logdir else None
+    return Server(links, core, tape=tape, recorder=recorder, busy_poll=busy_poll)
 
 
 @contextlib.contextmanager
@@ -212,13 +229,9 @@ def main(args: argparse.Namespace) -> int:
     links = open_links(args.master, args.to)
     try:
         set_admission(links, args.allow_peer, lock=args.lock_peer)
-        tape = CaptureBuffer() if args.logdir else None
-        core = Core(link_roles(links), engine, signing=signed, tape=tape)
         if args.rflysim is not None and args.rflysim_map:
             session["rflysim_map"] = str(Path(args.rflysim_map).resolve())
-        session["links"] = [{"name": role.name, "direction": role.direction} for role in core.links]
-        recorder = Recorder(Path(args.logdir), session) if args.logdir else None
-        server = Server(links, core, tape=tape, recorder=recorder, busy_poll=args.busy_poll)
+        server = make_server(links, engine, args.logdir, session, signed, args.busy_poll)
         server.prepare()
         message_names()  # loads the table, for which no descriptor may be left later
         by_name = args.zenoh not in ("auto", "off") or args.rflysim is not None

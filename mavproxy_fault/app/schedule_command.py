@@ -10,28 +10,31 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.schedule.entries import parse_schedule
 
+QUERIES = {
+    "load": "schedule/begin", "save": "schedule/save", "clear": "schedule/stop", "state": "state",
+}  # fmt: skip
+
 
 def main(args: argparse.Namespace) -> int:
     """Run one action."""
+    text = b""
     if args.action == "load":
         parse_schedule(read_document(args.file))  # reports errors with their lines
         text = Path(args.file).read_bytes()
-        with join_run(args) as bus:
-            loaded = query_run(bus, "schedule/begin", text)["faults"]
+    with join_run(args) as bus:
+        reply = query_run(bus, QUERIES[args.action], text)
+    if args.action == "load":
+        loaded = reply["faults"]
         count = f"{len(loaded)} fault{'s' * (len(loaded) != 1)}"
         said = f"{count} loaded: {', '.join(loaded)}" if loaded else "no faults loaded"
         print_result(args, {"faults": loaded}, said)
     elif args.action == "save":
-        with join_run(args) as bus:
-            _save(query_run(bus, "schedule/save")["anew"], args.file)
+        _save(reply["anew"], args.file)
     elif args.action == "clear":
-        with join_run(args) as bus:
-            cleared = query_run(bus, "schedule/stop")["cleared"]
-        said = "all faults cleared" if cleared else "no faults to clear"
-        print_result(args, {"cleared": cleared}, said)
+        said = "all faults cleared" if reply["cleared"] else "no faults to clear"
+        print_result(args, {"cleared": reply["cleared"]}, said)
     else:
-        with join_run(args) as bus:
-            print(json.dumps(query_run(bus, "state"), indent=2))
+        print(json.dumps(reply, indent=2))
     return 0
 
 

@@ -30,7 +30,7 @@ QueryHandler = Callable[[str, bytes], object]
 SampleHandler = Callable[[str, bytes], None]
 
 
-class Bus:
+class Bus(contextlib.AbstractContextManager["Bus"]):
     """One session; unless it is closed (or its `with` block left), the interpreter hangs at exit.
 
     Callbacks run on Zenoh's threads.
@@ -43,9 +43,6 @@ class Bus:
         self.url = url
         self.run = run
         self.is_router = is_router
-
-    def __enter__(self) -> "Bus":
-        return self
 
     def __exit__(self, *raised: object) -> None:
         self.close()

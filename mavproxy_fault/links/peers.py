@@ -6,7 +6,7 @@ strangers cannot cut off a vehicle that is silent for a while.
 
 import ipaddress
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 PEER_EXPIRY_S = 60.0  # a peer silent this long may be replaced, unless it was heard last
@@ -103,14 +103,3 @@ def host_address(address: bytes) -> ipaddress.IPv4Address | ipaddress.IPv6Addres
     host = ipaddress.IPv6Address(address[8:24])
     # A dual-stack socket reports IPv4 hosts as ::ffff:a.b.c.d; the user writes a.b.c.d.
     return host.ipv4_mapped or host
-
-
-def parse_networks(texts: Sequence[str]) -> tuple[Network, ...]:
-    """Parse networks such as 10.0.0.7 or 192.168.1.0/24.
-
-    Raises
-    ------
-    ValueError
-        If a text is not a network.
-    """
-    return tuple(ipaddress.ip_network(text) for text in texts)

@@ -19,6 +19,7 @@ BATCH = 64
 MAX_DATAGRAM = 65_536  # a shorter buffer would truncate silently
 V4, V6 = struct.Struct("=H2s4s8x"), struct.Struct("=H2s4s16sI")  # sockaddr_in, sockaddr_in6
 SO_MEMINFO, DROPPED = 55, 8  # Linux <asm-generic/socket.h>; nine words, the last counts drops
+MEMINFO = struct.Struct("9I")
 
 
 def _open(host: str, port: int, *, listen: bool) -> socket.socket:
@@ -52,7 +53,11 @@ class _UdpSocket:
     @property
     def lost_in_kernel(self) -> int:
         """Datagrams dropped because the kernel's receive buffer was full."""
-        return lost_in_kernel(self.sock)
+        try:
+            meminfo = self.sock.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, MEMINFO.size)
+            return int(MEMINFO.unpack(meminfo)[DROPPED])
+        except (OSError, struct.error):  # a system that does not report it
+            return 0
 
     def filenos(self) -> list[int]:
         """The socket's descriptor."""
@@ -139,15 +144,6 @@ class UdpClient(_UdpSocket):
     def write(self, data: bytes) -> None:
         """Send one datagram."""
         self._send(data)
-
-
-def lost_in_kernel(sock: socket.socket) -> int:
-    """Return the kernel's drop count of a socket; 0 on systems that do not report it."""
-    try:
-        meminfo = struct.unpack("9I", sock.getsockopt(socket.SOL_SOCKET, SO_MEMINFO, 36))
-    except (OSError, struct.error):
-        return 0
-    return int(meminfo[DROPPED])
 
 
 def _raw(address: tuple[str, int] | tuple[str, int, int, int]) -> bytes:

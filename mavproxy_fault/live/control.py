@@ -35,7 +35,7 @@ from mavproxy_fault.live.failure_command import (
     telemetry_targets,
 )
 from mavproxy_fault.live.named_files import check_files
-from mavproxy_fault.live.rflysim import IdMap, Packet
+from mavproxy_fault.live.rflysim import IdMap, Packet, packet_entries
 from mavproxy_fault.live.subscriptions import RECEIVED, SubscribedMessages, Watched
 from mavproxy_fault.proxy.announcements import COMPONENT
 from mavproxy_fault.proxy.engine import Engine
@@ -354,7 +354,7 @@ class LiveControl:
         if packet is None or self.rflysim is None or not self.allowed:
             return []
         self.engine.advance_time(t_us)
-        wanted = self.rflysim.entries(packet)
+        wanted = packet_entries(self.rflysim, packet)
         # A packet lists all active faults; those no longer listed have ended.
         for id in self._latched - {entry["id"] for entry in wanted} if packet.clears else ():
             self.engine.clear(id)

@@ -95,23 +95,20 @@ class FaultMeaning(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return [self.target] if isinstance(self.target, str) else list(self.target)
 
 
-class IdMap(msgspec.Struct, frozen=True):
-    """RflySim's ids and their meanings."""
+IdMap = dict[int, FaultMeaning]  # by RflySim's id
 
-    meanings: dict[int, FaultMeaning]
 
-    def entries(self, packet: Packet) -> list[dict[str, Any]]:
-        """Return the schedule entries of a packet; ids missing from the map are ignored."""
-        found = []
-        for id, parameters in packet.faults.items():
-            meaning = self.meanings.get(id)
-            if meaning is None:
-                continue
-            make = {"motor": _motor, "sensor": _sensor, "plant": _plant}[meaning.kind]
-            for number, entry in enumerate(make(meaning, parameters), 1):
-                name = f"rflysim-{packet.vehicle}-{id}.{number}"
-                found.append({"id": name, **entry})
-        return found
+def packet_entries(meanings: IdMap, packet: Packet) -> list[dict[str, Any]]:
+    """Return the schedule entries of a packet; ids missing from the map are ignored."""
+    found = []
+    for id, parameters in packet.faults.items():
+        meaning = meanings.get(id)
+        if meaning is None:
+            continue
+        make = {"motor": _motor, "sensor": _sensor, "plant": _plant}[meaning.kind]
+        for number, entry in enumerate(make(meaning, parameters), 1):
+            found.append({"id": f"rflysim-{packet.vehicle}-{id}.{number}", **entry})
+    return found
 
 
 def read_map(path: Path | str = DEFAULT_MAP) -> IdMap:
@@ -132,7 +129,7 @@ def read_map(path: Path | str = DEFAULT_MAP) -> IdMap:
             continue
         meanings[int(id)] = check.struct(value, FaultMeaning, (id,))
     check.finish()
-    return IdMap(meanings)
+    return meanings
 
 
 def _motor(meaning: FaultMeaning, parameters: tuple[float, ...]) -> list[dict[str, Any]]:

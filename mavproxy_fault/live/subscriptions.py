@@ -14,7 +14,7 @@ import msgspec
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.proxy.sender_rules import SAMPLE_PERIOD_US
 from mavproxy_fault.wire.dialect import Layout, find_layout, message_layout, message_names
-from mavproxy_fault.wire.frame import STX_V2, Frame, Number, frame_header
+from mavproxy_fault.wire.frame import Frame, Number, frame_header
 
 if TYPE_CHECKING:
     from mavproxy_fault.live.watched_ranges import RangeSampler
@@ -150,12 +150,9 @@ class SubscribedMessages:
 
     def sent(self, raw: bytes, t_us: int) -> None:
         """Sample sent bytes if they are a frame of a subscribed message."""
-        # Too short for a frame header.
-        if len(raw) < 8:
-            return
         # Only the id is read, since most messages have no viewer.
-        number = int.from_bytes(raw[7:10], "little") if raw[0] == STX_V2 else raw[5]
-        if number in self.ids:
+        head, number, _ = frame_header(raw, 0, len(raw))
+        if head and number in self.ids:
             self.sample(Frame(raw, message_layout(number)), t_us, SENT)
 
     def note_samples(self, records: bytes) -> None:

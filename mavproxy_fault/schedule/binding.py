@@ -73,16 +73,13 @@ def resolve_target(name: str, kind: type[Any], names: Sequence[str]) -> Resolved
 def target_errors(name: str, kind: type[Any], names: Sequence[str]) -> list[str]:
     """Return the errors of the targets; empty if they are valid."""
     found: list[str] = []
-    # Separately first, so that the error names the wrong target.
-    for part in [[target] for target in names] or [[]]:
+    # Separately first, so that the error names the wrong target; then together.
+    for part in [*([target] for target in names), names]:
+        if found and part is names:
+            break
         try:
             resolve_target(name, kind, part)
         except ValueError as error:
-            found.append(str(error))
-    if not found:
-        try:
-            resolve_target(name, kind, names)
-        except ValueError as error:  # valid separately, but not together
             found.append(str(error))
     return found
 

@@ -38,6 +38,10 @@ ARITHMETIC: Mapping[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Div: lambda a, b: a / b if b else None,
     ast.BitAnd: lambda a, b: int(a) & int(b),
 }
+SIGN: Mapping[type[ast.unaryop], Callable[[Any], Any]] = {
+    ast.UAdd: operator.pos,
+    ast.USub: operator.neg,
+}
 # Chosen: longer than any hand-written condition; bounds the parser's time and depth.
 LENGTH_MAX = 500
 # Raised by Python's parser for hostile text.
@@ -119,8 +123,11 @@ class Condition:
             parts = [self._part(one) for one in node.values]
             join = all if isinstance(node.op, ast.And) else any
             return lambda telemetry: join(part(telemetry) for part in parts)
-        if isinstance(node, ast.UnaryOp):
-            return self._unary(node)
+        if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            part = self._part(node.operand)
+            return lambda telemetry: not part(telemetry)
+        if isinstance(node, ast.UnaryOp) and type(node.op) in SIGN:
+            return self._of_number(SIGN[type(node.op)], node.operand)
         if isinstance(node, ast.Compare):
             return self._comparison(node)
         if isinstance(node, ast.BinOp) and type(node.op) in ARITHMETIC:
@@ -134,17 +141,22 @@ class Condition:
             "use fields, numbers, and, or, not, comparisons, + - * / &, abs(), count()"
         )
 
-    def _unary(self, node: ast.UnaryOp) -> Callable[[Telemetry], Value]:
-        part = self._part(node.operand)
-        if isinstance(node.op, ast.Not):
-            return lambda telemetry: not part(telemetry)
-        return _of_number(operator.neg, part)
+    def _of_number(
+        self, act: Callable[[Any], Any], argument: ast.expr
+    ) -> Callable[[Telemetry], Value]:
+        part = self._part(argument)
+
+        def result(telemetry: Telemetry) -> Value:
+            value = part(telemetry)
+            return act(value) if isinstance(value, int | float) else None
+
+        return result
 
     def _comparison(self, node: ast.Compare) -> Callable[[Telemetry], Value]:
-        sides = [node.left, *node.comparators]
         # `in` and `is` are not part of the language.
         if any(type(op) not in COMPARE for op in node.ops):
             raise ValueError(f"= {self.text!r}: has another comparison; use == != < <= > >=")
+        sides = [node.left, *node.comparators]
         steps = [
             self._both(COMPARE[type(op)], left, right)
             for op, left, right in zip(node.ops, sides, sides[1:], strict=False)
@@ -177,7 +189,7 @@ class Condition:
             number = find_message(argument.id).id
             self.ids.add(number)
             return lambda telemetry: telemetry.counts.get(number, 0)
-        return _of_number(abs, self._part(argument))
+        return self._of_number(abs, argument)
 
     def _name(self, node: ast.expr) -> Callable[[Telemetry], Value]:
         """Compile a keyword, MESSAGE.field, or MESSAGE.field[3]."""
@@ -199,19 +211,20 @@ class Condition:
                 f"{suggest_known(node.attr, layout.fields)}"
             )
         name = field.name
-        return self._newest(layout.name, lambda frame: frame.number(name, index))
+        return self._of_newest(layout.id, lambda frame: frame.number(name, index))
 
     def _keyword(self, keyword: str) -> Callable[[Telemetry], Value]:
         if keyword not in KEYWORDS:
             raise ValueError(
                 f"= {self.text!r}: {keyword} is unknown; words are {', '.join(KEYWORDS)}"
             )
-        return self._newest(*KEYWORDS[keyword])
+        message, meaning = KEYWORDS[keyword]
+        return self._of_newest(message_layout(message).id, meaning)
 
-    def _newest(
-        self, message: str, meaning: Callable[[Frame], Value]
+    def _of_newest(
+        self, number: int, meaning: Callable[[Frame], Value]
     ) -> Callable[[Telemetry], Value]:
-        number = message_layout(message).id
+        """Compile what the newest frame of a message means."""
         self.ids.add(number)
 
         def read(telemetry: Telemetry) -> Value:
@@ -220,18 +233,6 @@ class Condition:
             return None if frame is None else meaning(frame)
 
         return read
-
-
-def _of_number(
-    act: Callable[[Any], Value], part: Callable[[Telemetry], Value]
-) -> Callable[[Telemetry], Value]:
-    """Compile a function of one number; text has none."""
-
-    def found(telemetry: Telemetry) -> Value:
-        value = part(telemetry)
-        return act(value) if isinstance(value, int | float) else None
-
-    return found
 
 
 def is_armed(heartbeat: Frame) -> bool:

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from mavproxy_fault.app.recorder import EDITS, INDEX, RECEIVED, RECEIVED_OTHER, SESSION
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.live.control import FIRST_STATION
 from mavproxy_fault.live.edit_log import Edit, read_edits
 from mavproxy_fault.proxy.capture_buffer import INDEX as INDEX_RECORD
 from mavproxy_fault.proxy.capture_buffer import LENGTH, STAMP
@@ -24,7 +25,6 @@ from mavproxy_fault.wire.frame import HEADER_V2, STX_V1, STX_V2, frame_header
 
 VEHICLE, OTHERS = 0, 1
 ROLES = (LinkRole("vehicle", "from-vehicle"), LinkRole("others", "to-vehicle"))
-FIRST_STATION = 240  # systems; MAVSDK is 245, QGroundControl and MAVProxy are 255
 STATION_COMPONENTS = range(190, 195)  # MAV_COMP_ID_MISSIONPLANNER and its neighbours
 SIMULATOR_COMPONENT = 51
 FROM_AUTOPILOT = ("HIL_ACTUATOR_CONTROLS", "HIL_CONTROLS")

@@ -1,7 +1,8 @@
+import ipaddress
 import socket
 import struct
 
-from mavproxy_fault.links.peers import MAX_PEERS, PEER_EXPIRY_S, Admission, Peers, parse_networks
+from mavproxy_fault.links.peers import MAX_PEERS, PEER_EXPIRY_S, Admission, Peers
 
 FRAME = b"a frame"
 
@@ -12,7 +13,8 @@ def address(host: str, port: int = 14550) -> bytes:
 
 def peers(*allowed: str, lock: bool = False) -> Peers:
     found = Peers()
-    found.admission = Admission(parse_networks(allowed), lock, lambda data: data == FRAME)
+    networks = tuple(ipaddress.ip_network(text) for text in allowed)
+    found.admission = Admission(networks, lock, lambda data: data == FRAME)
     return found
 
 

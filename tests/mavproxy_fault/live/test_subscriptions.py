@@ -2,7 +2,7 @@ import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.live.control import LiveControl
-from mavproxy_fault.live.subscriptions import LEASE_S, MOST_ROWS, Watched
+from mavproxy_fault.live.subscriptions import LEASE_S, MOST_ROWS, SubscribedMessages, Watched
 from mavproxy_fault.proxy.core import Core
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.proxy.interfaces import LinkRole
@@ -118,6 +118,14 @@ def test_too_many_messages_are_refused() -> None:
     control = proxy()[1]
     with pytest.raises(ConfigError, match="are too many"):
         control.view.watch(message_names()[:40], 0.0)
+
+
+def test_sent_bytes_that_begin_no_frame_are_not_sampled() -> None:
+    view = SubscribedMessages()
+    view.watch(["ATTITUDE"], 0.0)
+    # Where a frame of MAVLink 1 has its message id.
+    view.sent(bytes((0, 28, 0, 1, 1, message_layout("ATTITUDE").id)) + bytes(30), 1)
+    assert view.drain() == []
 
 
 def test_a_satellite_range_is_sampled_before_and_after() -> None:
