@@ -10,12 +10,13 @@ References
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import msgspec
 import numpy as np
 
-from analysis.search.evaluation.evaluator import Evaluator
-from analysis.search.space.dimensions import target_of
+from analysis.search.evaluation.evaluator import Evaluator, average_draws
+from analysis.search.space.dimensions import section_values, target_of
 from analysis.search.space.fault_range import healthy_value
 from analysis.search.space.test_file import (
     InitialState,
@@ -33,11 +34,7 @@ COMPILED_ROUNDS, PROXIED_ROUNDS = 7, 3  # halvings; chosen: to 1/128, and to 1/8
 
 def pin_values(test: TestFile, values: Mapping[str, float]) -> TestFile:
     """The test with every range replaced by its value: a file that repeats this case."""
-
-    def part(section: str) -> dict[str, float]:
-        head = section + "."
-        return {k.removeprefix(head): float(v) for k, v in values.items() if k.startswith(head)}
-
+    part = partial(section_values, values)
     faults = []
     for i, fault in enumerate(test.faults):
         own = part(f"faults[{i}]")
@@ -103,6 +100,7 @@ def shrink_faults(test: TestFile, values: Mapping[str, float], breaks: Breaks) -
 
 def mean_error(test: TestFile, case: Values, seed: int) -> float:
     """The mean error of a case, with the same noise for all cases; -inf outside the envelope."""
-    columns = {name: np.array([value]) for name, value in case.items()}
-    outcome = Evaluator(test).evaluate_values(columns, seed, 0, test.noise_draws)
+    draws = test.noise_draws
+    flights = [Evaluator(test).scores(case, seed, draw) for draw in range(draws)]
+    outcome = average_draws(flights, draws, test.duration_s)
     return -np.inf if outcome.broken_limit[0] > 0 else float(outcome.fitness[0])

@@ -1,6 +1,7 @@
 """A point of a search as a scenario for `run`."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,7 @@ from msgspec import to_builtins
 
 from analysis.flying.onset import onset_keys
 from analysis.search.space.airframe import has_rotors
-from analysis.search.space.dimensions import target_of
+from analysis.search.space.dimensions import section_values, target_of
 from analysis.search.space.fault_picks import expand_picks
 from analysis.search.space.fault_range import healthy_value
 from analysis.search.space.test_file import AUTOPILOT, TestFile
@@ -102,11 +103,7 @@ def _varied(scenario: Document, values: Mapping[str, float]) -> Document:
 
 def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
     """The search's own aircraft in the simulator: the same start, controls, air and sensors."""
-
-    def part(section: str) -> dict[str, float]:
-        head = section + "."
-        return {k.removeprefix(head): float(v) for k, v in values.items() if k.startswith(head)}
-
+    part = partial(section_values, values)
     start, sensors = part("initial"), part("sensors")
     height_m = start.pop("height_m")
     heading_deg = start.pop("yaw_deg")
