@@ -108,8 +108,7 @@ def measure(name: str, weakness: Weakness, binary: str, method: str) -> str:
         case = archive.cases[0]
         if case.fitness <= 0.0:
             return " | ".join([name, weakness.violate, f"not in {flown}", "", "", ""])
-        point = Evaluator(test).space.values(case.point[None, :])
-        values = {key: float(value[0]) for key, value in point.items()}
+        values = Evaluator(test).space.values_at(case.point)
         faults = "; ".join(describe(fault) for fault in faults_of(test, values))
         assert test.autopilot is not None
         own = msgspec.structs.replace(test.autopilot, parameters=None)

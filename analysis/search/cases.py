@@ -164,12 +164,10 @@ def part_lines(parts: Mapping[str, Any]) -> list[str]:
             for name, scores in groups.items()
             if scores["samples"]
         ]
-    if "state_rmse" in parts:
-        states = ", ".join(f"{name} {value:.3g}" for name, value in parts["state_rmse"].items())
-        lines.append(f"  all twelve states       {states}")
-    if "inverted_rmse" in parts:
-        inverted = ", ".join(f"{name} {v:.3g}" for name, v in parts["inverted_rmse"].items())
-        lines.append(f"  inverted sensors        {inverted}")
+    for key, label in (("state_rmse", "all twelve states"), ("inverted_rmse", "inverted sensors")):
+        if key in parts:
+            states = ", ".join(f"{name} {value:.3g}" for name, value in parts[key].items())
+            lines.append(f"  {label:23} {states}")
     return lines
 
 

@@ -86,9 +86,7 @@ class _Flights:
 
 def reduce_case(test: TestFile, case: Case, folder: Path) -> Counterexample:
     """Reduce a case, fly it `rescore_draws` times, and write it to a folder."""
-    point = Evaluator(test).space.values(case.point[None, :])
-    values: Mapping[str, float] = {name: float(value[0]) for name, value in point.items()}
-    test, values = expand_picks(test, values)
+    test, values = expand_picks(test, Evaluator(test).space.values_at(case.point))
     flights = _Flights(test, case.number, dict(values))
     values = drop_faults(test, values, flights.violate)
     for name, value in _simpler_values(test, values):

@@ -252,7 +252,7 @@ def rescore_cases(
 
 def finish_case(test: TestFile, case: Case, outcome: EvaluationOutcome) -> WorstCase:
     """Complete a case: values by name, error without noise, smallest fault that still breaks."""
-    values = {k: float(v[0]) for k, v in Evaluator(test).space.values(case.point[None, :]).items()}
+    values = Evaluator(test).space.values_at(case.point)
     error = float(outcome.fitness[0])
     # The first of its draws.
     number = case.number * test.rescore_draws

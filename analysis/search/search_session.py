@@ -60,8 +60,7 @@ class SearchSession:
             self._waiting = list(self._searcher.ask())
         point = self._waiting.pop(0)
         self.number += 1
-        values = self._evaluator.space.values(point[None, :])
-        self.values = {name: float(value[0]) for name, value in values.items()}
+        self.values = self._evaluator.space.values_at(point)
         self.trace = fly_estimated(self.test, self.values, seed_of(self.test.seed, self.number))
         scores = score_estimated(self.test, self.trace)
         self.error = float(average_draws([scores], 1, self.test.duration_s).fitness[0])

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.search.archive import rms_distance
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.extras import import_extra
 
@@ -205,7 +206,7 @@ class MixedSearch(Searcher):
     def _begin(self, points: Array) -> None:
         """Start runs from the best of points (n, d) that are well separated."""
         for point in points:
-            gaps = [np.sqrt(np.mean((point - start) ** 2)) for start in self._starts]
+            gaps = [rms_distance(point, start) for start in self._starts]
             if (
                 # One start per run, or fewer where good points lie close together.
                 len(self._starts) < max(self.RUNS, self._survivors)

@@ -10,14 +10,14 @@ References
 """
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import msgspec
 import numpy as np
 
-from analysis.search.evaluation.evaluator import Evaluator
-from analysis.search.space.dimensions import target_of
+from analysis.search.evaluation.evaluator import Evaluator, average_draws
+from analysis.search.space.dimensions import section_values, target_of
 from analysis.search.space.fault_range import healthy_value
-from analysis.search.space.section import section_values
 from analysis.search.space.test_file import (
     InitialState,
     Mission,
@@ -34,19 +34,20 @@ COMPILED_ROUNDS, PROXIED_ROUNDS = 7, 3  # halvings; chosen: to 1/128, and to 1/8
 
 def pin_values(test: TestFile, values: Mapping[str, float]) -> TestFile:
     """The test with every range replaced by its value: a file that repeats this case."""
+    part = partial(section_values, values)
     faults = []
     for i, fault in enumerate(test.faults):
-        own = section_values(values, f"faults[{i}]")
+        own = part(f"faults[{i}]")
         target = target_of(test, i, own.pop("target"))
         faults.append(msgspec.structs.replace(fault, target=target, any_of=[], **own))
     return msgspec.structs.replace(
         test,
-        initial=InitialState(**section_values(values, "initial")),
-        controls=SearchControls(**section_values(values, "controls")),
-        mission=Mission(**section_values(values, "mission")) if test.mission is not None else None,
-        wind=SteadyWind(**section_values(values, "wind")),
-        sensors=SearchSensors(**section_values(values, "sensors")),
-        vary={name: (value, value) for name, value in section_values(values, "vary").items()},
+        initial=InitialState(**part("initial")),
+        controls=SearchControls(**part("controls")),
+        mission=Mission(**part("mission")) if test.mission is not None else None,
+        wind=SteadyWind(**part("wind")),
+        sensors=SearchSensors(**part("sensors")),
+        vary={name: (value, value) for name, value in part("vary").items()},
         faults=faults,
     )
 
@@ -99,6 +100,7 @@ def shrink_faults(test: TestFile, values: Mapping[str, float], breaks: Breaks) -
 
 def mean_error(test: TestFile, case: Values, seed: int) -> float:
     """The mean error of a case, with the same noise for all cases; -inf outside the envelope."""
-    columns = {name: np.array([value]) for name, value in case.items()}
-    outcome = Evaluator(test).evaluate_values(columns, seed, 0, test.noise_draws)
+    draws = test.noise_draws
+    flights = [Evaluator(test).scores(case, seed, draw) for draw in range(draws)]
+    outcome = average_draws(flights, draws, test.duration_s)
     return -np.inf if outcome.broken_limit[0] > 0 else float(outcome.fitness[0])

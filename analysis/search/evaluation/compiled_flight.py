@@ -5,7 +5,6 @@ Steps between samples of sensors in Python are one compiled loop. Truth and samp
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -13,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.estimators import Prior, estimate_block, make_estimator
+from analysis.estimators import Prior
 from analysis.estimators.estimator import KernelState
 from analysis.estimators.inverse_model import BEFORE, NINE, InverseModel, integrate_block
 from analysis.samples.block import (
@@ -171,7 +170,9 @@ def fly_sampled(document: bytes, envelope: FlightEnvelope, hovers: bool) -> Samp
     kind, t_us = rows[:, :HEAD].T.astype(np.int64)
     samples = Block(kind, t_us, rows[:, HEAD:].copy(), {})
     truth = truth[: counts[0]]
-    return SampledFlight(truth, samples, int(counts[LIMIT]), start_of(truth, samples))
+    r_ned_m, v_b_mps, q_nb = np.split(truth[0, :10], [3, 6])
+    prior = Prior(int(t_us[0]), q_nb, matrix_from_quat(q_nb) @ v_b_mps, r_ned_m)
+    return SampledFlight(truth, samples, int(counts[LIMIT]), prior)
 
 
 def _measure_fixes(gps: OnboardSensor, rows: Array) -> None:
@@ -192,24 +193,6 @@ def sampled_flight(test: TestFile, document: Mapping[str, Any]) -> SampledFlight
     """The flight of a test's scenario, whatever its faults: they do not act on the controls."""
     bare = {key: value for key, value in document.items() if key not in ("schedule", "monitor")}
     return fly_sampled(msgspec.json.encode(bare), test.envelope, has_rotors(test.vehicle))
-
-
-def estimate_attitude(
-    flight: SampledFlight, name: str, declination_rad: float
-) -> tuple[Array, Array]:
-    """The attitude (n, 4) of an estimator at the IMU samples, started at the truth, and its errors
-    (n, 4): roll, pitch, yaw and the angle [rad]."""
-    estimator = make_estimator(name)
-    prior = replace(flight.prior, declination_rad=declination_rad)
-    _, q_nb, _ = estimate_block(estimator, flight.samples, estimator.start(prior))
-    return q_nb, error_rows(q_nb, flight.truth[:, 6:10])
-
-
-def start_of(truth: Array, samples: Block) -> Prior:
-    """The truth at the first sample."""
-    r_ned_m, v_b_mps, q_nb = np.split(truth[0, :10], [3, 6])
-    velocity = matrix_from_quat(q_nb) @ v_b_mps
-    return Prior(int(samples.t_us[0]), q_nb, velocity, r_ned_m)
 
 
 @compiled

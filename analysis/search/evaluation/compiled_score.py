@@ -1,12 +1,14 @@
 """Score an estimator on a compiled flight with faults: attitude, states, inverted sensors."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec.structs import asdict
 from numpy.typing import NDArray
 
-from analysis.estimators import Prior
+from analysis.estimators import Prior, estimate_block, make_estimator
 from analysis.samples.block import AIRSPEED, BARO, FIX, IMU, IMU_ID, Block, Stamps
 from analysis.scoring.attitude_scores import ErrorBins, flight_phases, score_breakdown
 from analysis.search.evaluation.compiled_flight import (
@@ -15,12 +17,12 @@ from analysis.search.evaluation.compiled_flight import (
     PLACE,
     SampledFlight,
     dead_reckoning,
-    estimate_attitude,
+    error_rows,
     sampled_flight,
 )
 from analysis.search.space.point_scenario import document_of, faults_of
 from analysis.search.space.sample_faults import break_samples
-from analysis.search.space.test_file import StateScales, TestFile
+from analysis.search.space.test_file import TestFile
 from mavproxy_fault.numerics.earth import curvature_radii
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat, matrix_from_quat
 from mavproxy_fault.wire.label import Label
@@ -88,13 +90,15 @@ def estimate_flight(
     test: TestFile, flight: SampledFlight, values: Mapping[str, float], seed: int
 ) -> EstimatedFlight:
     """Run the estimator on the samples of a flight with the faults of these values."""
-    truth, samples, limit, _ = flight
+    truth, samples, limit, prior = flight
     t_us = samples.t_us[samples.kind == IMU]
     broken = break_samples(samples, faults_of(test, values), seed)
-    q_nb, error = estimate_attitude(
-        flight._replace(samples=broken), test.estimator, float(np.radians(test.declination_deg))
-    )
-    return EstimatedFlight(t_us, truth, q_nb, error, broken, limit, flight.prior)
+    estimator = make_estimator(test.estimator)
+    # It starts at the truth.
+    start = replace(prior, declination_rad=float(np.radians(test.declination_deg)))
+    _, q_nb, _ = estimate_block(estimator, broken, estimator.start(start))
+    error_rad = error_rows(q_nb, truth[:, 6:10])
+    return EstimatedFlight(t_us, truth, q_nb, error_rad, broken, limit, prior)
 
 
 def score_compiled(
@@ -117,7 +121,9 @@ def score_estimated(test: TestFile, flight: EstimatedFlight) -> FlightScores:
     rmse = np.degrees(np.sqrt((flight.error_rad**2).mean(axis=0)))
     largest = np.degrees(np.abs(flight.error_rad).max(axis=0))
     if test.criterion == "state":
-        error = float(np.sqrt(((state_rmse(flight) / scales_of(test.state_scales)) ** 2).mean()))
+        # Its fields are in the order of STATES, three axes each.
+        scales = np.repeat(list(asdict(test.state_scales).values()), 3)
+        error = float(np.sqrt(((state_rmse(flight) / scales) ** 2).mean()))
     elif test.criterion in ("euler", "angle"):
         error = float(rmse[3] if test.criterion == "angle" else rmse[:3].max())
     else:
@@ -166,11 +172,6 @@ def state_rmse(flight: EstimatedFlight) -> Array:
         ]
     )
     return np.asarray(np.sqrt((error**2).mean(axis=0)))
-
-
-def scales_of(scales: StateScales) -> Array:
-    """The scales of twelve states (12,) in the units of STATES."""
-    return np.repeat([scales.position_m, scales.velocity_mps, scales.angle_deg, scales.rate_dps], 3)
 
 
 INVERTED = {"height": "height_m", "airspeed": "airspeed_mps", "position": "position_m"}

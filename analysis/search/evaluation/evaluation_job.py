@@ -1,11 +1,9 @@
 """Evaluations as jobs of a worker pool: the number of an evaluation determines its noise, so that
 all pools give the same outcome."""
 
-from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,9 +13,9 @@ from analysis.search.space.test_file import TestFile
 
 
 class EvaluationJob(NamedTuple):
-    """Points (n, d) of a test in JSON, evaluated as `Evaluator.evaluate` does."""
+    """Points (n, d), evaluated as `Evaluator.evaluate` does."""
 
-    test: bytes
+    evaluator: Evaluator
     points: NDArray[np.float64]
     seed: int
     first: int
@@ -25,13 +23,7 @@ class EvaluationJob(NamedTuple):
 
     def run(self) -> EvaluationOutcome:
         """Evaluate the points in this process."""
-        return cached_evaluator(self.test).evaluate(self.points, self.seed, self.first, self.draws)
-
-
-@lru_cache(maxsize=8)
-def cached_evaluator(encoded: bytes) -> Evaluator:
-    """The evaluator of a test in JSON; cached, since reading the airframe takes time."""
-    return Evaluator(msgspec.json.decode(encoded, type=TestFile))
+        return self.evaluator.evaluate(self.points, self.seed, self.first, self.draws)
 
 
 def evaluate_with(
@@ -43,9 +35,12 @@ def evaluate_with(
     draws: int,
 ) -> EvaluationOutcome:
     """Evaluate points (n, d) with a worker pool, split into a job for each worker."""
-    encoded = msgspec.json.encode(test)
+    evaluator = Evaluator(test)
+    _ = evaluator.space  # goes with the jobs, since reading the airframe takes time
     cuts = np.linspace(0, len(points), min(pool.workers, len(points)) + 1).astype(int).tolist()
-    jobs = [EvaluationJob(encoded, points[a:b], seed, first + a, draws) for a, b in pairwise(cuts)]
+    jobs = [
+        EvaluationJob(evaluator, points[a:b], seed, first + a, draws) for a, b in pairwise(cuts)
+    ]
     outcomes = run_jobs(pool, jobs)
     arrays = {
         name: np.concatenate([getattr(outcome, name) for outcome in outcomes])

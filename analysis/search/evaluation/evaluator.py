@@ -15,8 +15,8 @@ from analysis.search.evaluation.envelope import pack_envelope, violated_limit
 from analysis.search.evaluation.point_flight import fly_point
 from analysis.search.space.airframe import has_rotors, read_airframe, trim_values
 from analysis.search.space.dimensions import Space, fault_entries, flight_entries, space_of
+from analysis.search.space.fault_range import Range
 from analysis.search.space.point_scenario import Document, document_of
-from analysis.search.space.section import Range
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.schedule.entries import parse_schedule
@@ -64,25 +64,15 @@ class Evaluator:
     def evaluate(
         self, points: Array, seed: int, first: int, draws: int | None = None
     ) -> EvaluationOutcome:
-        """Fly points (n, d) of the unit cube, each with its own noise, by seed and number."""
+        """Fly points (n, d) of the unit cube, `draws` times each with their own noise, by seed and
+        number; `first` is the number of the first evaluation."""
         draws = self.test.noise_draws if draws is None else draws
-        return self.evaluate_values(self.space.values(points), seed, first, draws)
-
-    def evaluate_values(
-        self,
-        values: Mapping[str, Array],
-        seed: int,
-        first: int,
-        draws: int,
-    ) -> EvaluationOutcome:
-        """Fly values (n,) by name, `draws` times each; `first` is the number of the first
-        evaluation."""
         flights = []
-        for i in range(len(next(iter(values.values())))):
-            one = {name: float(column[i]) for name, column in values.items()}
+        for i, point in enumerate(points):
+            values = self.space.values_at(point)
             # By their numbers, splitting the work changes nothing.
             number = (first + i) * draws
-            flights += [self.scores(one, seed, number + draw) for draw in range(draws)]
+            flights += [self.scores(values, seed, number + draw) for draw in range(draws)]
         return average_draws(flights, draws, self.test.duration_s)
 
     def scores(

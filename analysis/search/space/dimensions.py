@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.search.space.fault_picks import pick_entries
-from analysis.search.space.section import Range
+from analysis.search.space.fault_range import Range
 from analysis.search.space.test_file import TestFile
 
 Array = NDArray[np.float64]
@@ -33,13 +33,11 @@ class Space:
         """Number of searched values."""
         return len(self.names)
 
-    def values(self, points: Array) -> dict[str, Array]:
-        """All values by name, (n,) each, of points (n, d) in the unit cube."""
+    def values_at(self, point: Array) -> dict[str, float]:
+        """All values by name of a point (d,) in the unit cube."""
         # Clipped: some methods step outside the unit cube.
-        span = self.low + np.clip(points, 0.0, 1.0) * (self.high - self.low)
-        count = len(points)
-        fixed = {name: np.full(count, value) for name, value in self.fixed.items()}
-        return fixed | {name: span[:, i] for i, name in enumerate(self.names)}
+        searched = self.low + np.clip(point, 0.0, 1.0) * (self.high - self.low)
+        return self.fixed | dict(zip(self.names, searched.tolist(), strict=True))
 
 
 def space_of(entries: Mapping[str, Range]) -> Space:
@@ -55,6 +53,12 @@ def space_of(entries: Mapping[str, Range]) -> Space:
         else:
             fixed[name] = float(value[0] if isinstance(value, tuple) else value)
     return Space(tuple(names), np.array(low), np.array(high), fixed)
+
+
+def section_values(values: Mapping[str, float], section: str) -> dict[str, float]:
+    """The values of a section of the test file, by key."""
+    head = section + "."
+    return {k.removeprefix(head): float(v) for k, v in values.items() if k.startswith(head)}
 
 
 def flight_entries(test: TestFile, trim: Mapping[str, float]) -> dict[str, Range]:

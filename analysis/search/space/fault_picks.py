@@ -9,8 +9,7 @@ from typing import Any
 
 import msgspec
 
-from analysis.search.space.fault_range import FaultRange
-from analysis.search.space.section import Range
+from analysis.search.space.fault_range import FaultRange, Range
 from analysis.search.space.test_file import TestFile
 
 SHARES = ("fault", "target", "on", "value", "at_s", "for_s")

@@ -2,11 +2,24 @@
 
 from typing import Any
 
-from msgspec import field
+from msgspec import Struct, field
 
 from analysis.flying.onset import onset_keys
 from analysis.search.space.sample_faults import DROPPED, FIELDS, SAMPLE_FAULTS, VALUELESS
-from analysis.search.space.section import Range, Section
+
+Range = float | tuple[float, float]
+"""A fixed number, or the interval to search."""
+
+
+class Section(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of the sections of a test file: unknown keys are errors; ranges must be ordered."""
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            # Tuples of other lengths are not ranges.
+            if isinstance(value, tuple) and len(value) == 2 and value[0] > value[1]:
+                raise ValueError(f"{name} = {list(value)} has its ends reversed; write [low, high]")
 
 
 class FaultRange(Section, frozen=True):

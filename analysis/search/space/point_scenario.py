@@ -1,6 +1,7 @@
 """A point of a search as a scenario for `run`."""
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -8,10 +9,9 @@ from msgspec import to_builtins
 
 from analysis.flying.onset import onset_keys
 from analysis.search.space.airframe import has_rotors
-from analysis.search.space.dimensions import target_of
+from analysis.search.space.dimensions import section_values, target_of
 from analysis.search.space.fault_picks import expand_picks
 from analysis.search.space.fault_range import healthy_value
-from analysis.search.space.section import section_values
 from analysis.search.space.test_file import AUTOPILOT, TestFile
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.environment.air import SEA_LEVEL_K, SEA_LEVEL_PA
@@ -103,11 +103,12 @@ def _varied(scenario: Document, values: Mapping[str, float]) -> Document:
 
 def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
     """The search's own aircraft in the simulator: the same start, controls, air and sensors."""
-    start, sensors = section_values(values, "initial"), section_values(values, "sensors")
+    part = partial(section_values, values)
+    start, sensors = part("initial"), part("sensors")
     height_m = start.pop("height_m")
     heading_deg = start.pop("yaw_deg")
     # The sections have the same keys as a scenario.
-    wind = section_values(values, "wind")
+    wind = part("wind")
     return {
         "name": "worst case",
         "duration_s": test.duration_s,
@@ -119,7 +120,7 @@ def _flight(test: TestFile, values: Mapping[str, float]) -> Document:
             "heading_deg": heading_deg,
             "state": start,
         },
-        **_controlled(test, section_values(values, "controls"), section_values(values, "mission")),
+        **_controlled(test, part("controls"), part("mission")),
         "environment": {
             "wind_ned_mps": [wind[f"{axis}_mps"] for axis in ("north", "east", "down")],
             "gusts": test.gusts,

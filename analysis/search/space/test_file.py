@@ -12,8 +12,7 @@ import numpy as np
 
 from analysis.scoring.requirements import Requirement, parse_requirements
 from analysis.search.space.airframe import has_rotors
-from analysis.search.space.fault_range import FaultRange
-from analysis.search.space.section import Range, Section
+from analysis.search.space.fault_range import FaultRange, Range, Section
 from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.document_kind import check_kind
 from mavproxy_fault.documents.yaml_document import read_document
