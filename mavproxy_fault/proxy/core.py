@@ -132,13 +132,11 @@ class Core:
         now_us: int,
         *,
         stream: int = 0,
-        direction: Direction | None = None,
         begun: bool = False,
     ) -> list[Send]:
         """Process received bytes and return what to send; empty bytes end their stream.
 
-        `direction` overrides the link's, for a log with both directions. `begun` is true for the
-        rest of a datagram or chunk whose first frames have passed.
+        `begun` is true for the rest of a datagram or chunk whose first frames have passed.
         """
         # Earlier due frames leave first, so the order depends only on timestamps. No incomplete
         # frame is abandoned here: the rest may be in the same batch of reads.
@@ -158,7 +156,7 @@ class Core:
         if data and not role.datagrams:
             self._resync_deadlines.setdefault(key, ResyncDeadline()).note_arrival(len(data), now_us)
             self._wait_for_rest(key)
-        return sends + self._process(items, Arrival(link, direction or role.direction, now_us))
+        return sends + self._process(items, Arrival(link, role.direction, now_us))
 
     def received_frame(self, link: int, frame: Frame, now_us: int, t_us: int | None) -> list[Send]:
         """Process a frame that is verified already, and timed unless `t_us` is None."""

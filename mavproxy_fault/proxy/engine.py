@@ -32,12 +32,10 @@ class Engine:
     With `commands` false, a schedule that commands the vehicle raises ConfigError.
     """
 
-    def __init__(
-        self, schedule: Schedule, seed: int | None = None, *, commands: bool = True
-    ) -> None:
+    def __init__(self, schedule: Schedule, *, commands: bool = True) -> None:
         self._commands = commands
         self._check(schedule.faults)
-        self.seed = schedule.seed if seed is None else seed
+        self.seed = schedule.seed
         self.revision = 0
         self.changes = 0  # counts changes of the active entries
         self.t0_us: int | None = None

@@ -21,6 +21,7 @@ from mavproxy_fault.wire.frame import Frame, build_frame
 PAYLOAD_TYPE = 33800  # TUNNEL.payload_type
 PAYLOAD_MAX = 128  # bytes of TUNNEL.payload
 SIMULATOR = (1, 51)  # system, component
+COMPONENT = 191  # MAV_COMP_ID_ONBOARD_COMPUTER, the sender
 
 
 class PlantChange(msgspec.Struct, frozen=True):
@@ -31,14 +32,7 @@ class PlantChange(msgspec.Struct, frozen=True):
 
 
 @lru_cache(256)  # it is repeated while a fault lasts
-def plant_frame(
-    change: PlantChange,
-    target: tuple[int, int] = SIMULATOR,
-    *,
-    seq: int = 0,
-    system: int = 1,
-    component: int = 191,
-) -> bytes:
+def plant_frame(change: PlantChange, target: tuple[int, int] = SIMULATOR) -> bytes:
     """Encode a change as a TUNNEL frame to a system and component.
 
     Raises
@@ -58,9 +52,7 @@ def plant_frame(
         "payload_length": len(payload),
         "payload": payload,
     }
-    return build_frame(
-        message_layout("TUNNEL"), values, seq=seq, system=system, component=component
-    )
+    return build_frame(message_layout("TUNNEL"), values, component=COMPONENT)
 
 
 def plant_change(frame: Frame) -> PlantChange | None:

@@ -295,16 +295,15 @@ def read_blocks(path: str | Path, only: Collection[str] | None = None) -> Iterat
 def read_ordered(
     data: NDArray[np.uint8],
     only: Collection[str],
-    frames: int = ORDERED_FRAMES,
     junk: list[int] | None = None,
 ) -> Iterator[tuple[Columns, dict[str, NDArray[np.int64]]]]:
-    """Read columns of up to `frames` frames at a time, with each row's index (n,) among them.
+    """Read columns of up to 32,768 frames at a time, with each row's index (n,) among them.
 
     `data` are a log's bytes (n,), such as those of `map_bytes`. The number of bytes outside any
     frame is added to `junk[0]`.
     """
     slots = {name: slot for slot, name in enumerate(message_names())}
-    for found, _, junk_bytes in _blocks(data, frames):
+    for found, _, junk_bytes in _blocks(data, ORDERED_FRAMES):
         if junk is not None:
             junk[0] += junk_bytes
         columns = _columns(data, found, only)

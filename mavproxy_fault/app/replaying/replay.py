@@ -8,7 +8,7 @@ import argparse
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
@@ -149,9 +149,7 @@ def _labels(playing: LogReplay) -> list[Label]:
     return [msgspec.structs.replace(label, recorded=True) for label in labels]
 
 
-def replay_to_link(
-    playing: LogReplay, link: Link, clock: Callable[[], float] = time.monotonic
-) -> int:
+def replay_to_link(playing: LogReplay, link: Link) -> int:
     """Send at the pace of the log and return the number of frames or datagrams sent.
 
     A server link first waits for its first peer.
@@ -160,11 +158,11 @@ def replay_to_link(
     while not link.peer_count:
         _pause(link, PAUSE_S)
     core = playing.core
-    start_s, first_us, sent = clock(), -1, 0
+    start_s, first_us, sent = time.monotonic(), -1, 0
 
     def wait_for(t_us: int) -> None:
         # In slices, to read the peer's bytes meanwhile.
-        while (rest_s := start_s + (t_us - first_us) * 1e-6 - clock()) > 0:
+        while (rest_s := start_s + (t_us - first_us) * 1e-6 - time.monotonic()) > 0:
             _pause(link, min(rest_s, PAUSE_S))
 
     def write(sends: list[Send]) -> int:
