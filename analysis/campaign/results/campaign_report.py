@@ -97,13 +97,8 @@ def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str,
     if plan.campaign.find == "critical":
         known = {result.cell.key: result for result in results}
         summary["critical"] = [
-            {
-                "series": series,
-                "magnitude": c.magnitude,
-                "harmless": c.harmless,
-                "flights": c.flights,
-            }
-            for series, c in plan.critical_magnitudes(known).items()
+            {"series": series, **critical._asdict()}
+            for series, critical in plan.critical_magnitudes(known).items()
         ]
     return summary
 
