@@ -6,15 +6,14 @@ magnitudes at which it gets worse.
 """
 
 from collections.abc import Generator
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from analysis.campaign.campaign_file import Magnitudes
 
 HALVINGS = 6
 
 
-@dataclass(frozen=True)
-class CriticalMagnitude:
+class CriticalMagnitude(NamedTuple):
     """`magnitude` is the smallest with a bad outcome, `harmless` the largest below it without.
 
     Without `magnitude` the entire interval is harmless; without `harmless` all of it is bad.

@@ -15,7 +15,7 @@ import msgspec
 from analysis.campaign.bisection import HALVINGS, CriticalMagnitude, bisect_magnitude
 from analysis.campaign.campaign_file import CampaignFile, SubjectChoice
 from analysis.campaign.cell import HEALTHY, Cell, CellResult, file_key
-from analysis.campaign.flying.flight_job import CompiledJob, FlightJob, Job, setup_by_name
+from analysis.campaign.flying.flight_job import FlightJob, setup_by_name
 from analysis.campaign.outcomes import ABORTED
 from analysis.flying.flight_evidence import CampaignFlight
 from mavproxy_fault.documents.errors import ConfigError
@@ -24,7 +24,7 @@ from mavproxy_fault.documents.extras import import_extra
 MAX_BATCH_CELLS = 256  # cells in one batch, so that progress shows and a kill loses little
 KnownResults = Mapping[str, CellResult]
 SizedSeries = tuple[Cell, float | None]
-JobSequence = Iterator[Job]
+JobSequence = Iterator[FlightJob]
 
 
 class CampaignPlan:
@@ -194,12 +194,12 @@ class CampaignPlan:
         for _, batch in groupby(ordered, key=_batch_key):
             listed = tuple(batch)
             for start in range(0, len(listed), MAX_BATCH_CELLS):
-                yield iter([CompiledJob(self.campaign, listed[start : start + MAX_BATCH_CELLS])])
+                yield iter([self._job(listed[start : start + MAX_BATCH_CELLS], {})])
 
-    def _job(self, cells: tuple[Cell, ...], references: Mapping[str, CampaignFlight]) -> Job:
-        if self.campaign.compiled:
-            return CompiledJob(self.campaign, cells)
-        reference = references[self.reference_key(cells[0])]
+    def _job(self, cells: tuple[Cell, ...], references: Mapping[str, CampaignFlight]) -> FlightJob:
+        # A compiled batch contains its reference flight.
+        compiled = self.campaign.compiled
+        reference = None if compiled else references[self.reference_key(cells[0])]
         return FlightJob(self.campaign, cells, reference, self._folder(cells[0]))
 
     def _bisect(self, series: Cell, known: KnownResults) -> Cell | CriticalMagnitude | None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from analysis.campaign.campaign_plan import CampaignPlan, JobSequence
 from analysis.campaign.cell import CellResult
-from analysis.campaign.flying.flight_job import Job, JobAnswer, aborted_answer
+from analysis.campaign.flying.flight_job import FlightJob, JobAnswer, aborted_answer
 from analysis.campaign.outcomes import outcome_rank
 from analysis.campaign.results.campaign_report import write_report
 from analysis.campaign.results.live_heat_map import LiveHeatMap
@@ -20,7 +20,7 @@ from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 
 ProgressCallback = Callable[[list[CellResult]], None]
-RunningJobs = Generator[Job, Any, None]
+RunningJobs = Generator[FlightJob, Any, None]
 
 
 @dataclass
@@ -45,7 +45,7 @@ class CampaignRun:
         run_sequences(self.pool, (self._fly_reference(key, job) for key, job in missing.items()))
         run_sequences(self.pool, map(self._fly_cells, self.plan.job_sequences(known, references)))
 
-    def _fly_reference(self, key: str, job: Job) -> RunningJobs:
+    def _fly_reference(self, key: str, job: FlightJob) -> RunningJobs:
         answer = answer_of(job, (yield job))
         if answer.flight is None:
             # Without the reference flight, no outcome can be determined.
@@ -64,7 +64,7 @@ class CampaignRun:
             self.progress(answer.results)
 
 
-def answer_of(job: Job, answer: JobAnswer | JobFailure) -> JobAnswer:
+def answer_of(job: FlightJob, answer: JobAnswer | JobFailure) -> JobAnswer:
     """Return a pool's answer of a job; that of a job that failed has aborted cells."""
     return aborted_answer(job, answer.reason) if isinstance(answer, JobFailure) else answer
 

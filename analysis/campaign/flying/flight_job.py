@@ -25,7 +25,8 @@ from simvehicle.scenario.changed_scenario import parse_change
 
 @dataclass(frozen=True)
 class FlightJob:
-    """One flight, for cells that differ only in their subject.
+    """One flight, for cells that differ only in their subject, or a batch of compiled flights
+    of cells that share subject, scenario, fault and seed.
 
     `reference` is the fault-free reference flight, None if this is the reference; `keep` is the
     folder for the logs, None to discard them.
@@ -44,6 +45,8 @@ class FlightJob:
         ConfigError
             If the flight fails because of the campaign file.
         """
+        if self.campaign.compiled:
+            return JobAnswer(run_compiled(self.campaign, self.cells))
         first = self.cells[0]
         start = onset_keys(first.onset)
         # The phase of the reference flight, since the fault may keep its own from reaching it.
@@ -81,18 +84,6 @@ class FlightJob:
 
 
 @dataclass(frozen=True)
-class CompiledJob:
-    """A batch of compiled flights: cells of one subject, scenario, fault and seed."""
-
-    campaign: CampaignFile
-    cells: tuple[Cell, ...]
-
-    def run(self) -> "JobAnswer":
-        """Fly the batch in this process; raises as `run_compiled` does."""
-        return JobAnswer(run_compiled(self.campaign, self.cells))
-
-
-@dataclass(frozen=True)
 class JobAnswer:
     """The results of a job's cells, and the flight with its evidence."""
 
@@ -100,15 +91,12 @@ class JobAnswer:
     flight: CampaignFlight | None = None
 
 
-Job = FlightJob | CompiledJob
-
-
 def _interesting(results: list[CellResult]) -> bool:
     """Whether an outcome is worse than detected."""
     return any(outcome_rank(result.outcome) > outcome_rank("detected") for result in results)
 
 
-def aborted_answer(job: Job, reason: str) -> JobAnswer:
+def aborted_answer(job: FlightJob, reason: str) -> JobAnswer:
     """Build the answer of a job whose flight failed."""
     return JobAnswer([CellResult(cell=cell, outcome=ABORTED, note=reason) for cell in job.cells])
 

@@ -4,7 +4,6 @@ import csv
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -98,7 +97,7 @@ def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str,
     if plan.campaign.find == "critical":
         known = {result.cell.key: result for result in results}
         summary["critical"] = [
-            {"series": series, **asdict(critical)}
+            {"series": series, **critical._asdict()}
             for series, critical in plan.critical_magnitudes(known).items()
         ]
     return summary
