@@ -96,9 +96,8 @@ def main(args: argparse.Namespace) -> int:
             monitor_recording(recording[0], monitor, deliver, stop)
         else:
             _monitor_source(args, monitor, deliver, stop, condition)
-    labels = None if injected is None else latest_labels(injected)
-    if injected is None and args.labels is not None:
-        labels = read_labels(Path(args.labels))
+    given = None if args.labels is None else read_labels(Path(args.labels))
+    labels = given if injected is None else latest_labels(injected)
     if labels is None:  # without labels, no fault can count as missed
         criteria = msgspec.structs.replace(criteria, must_detect=(), must_isolate=())
     summary = monitor.summary(labels, criteria, time.monotonic() - started_s)

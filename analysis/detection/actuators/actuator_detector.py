@@ -36,15 +36,19 @@ class ActuatorDetector(BlockDetector, frozen=True):
         if state is None:
             if not (block.kind == COMMAND).any():
                 return [], None
-            effects = self.effects
-            ground_mps = BY_FIRST_FIX if ELEVATOR in effects.names else FLYING_SPEED_MPS
-            bins, model = MotionBins(effects.lags_s), initial_motion_model(effects)
-            state = ActuatorResponse(bins, model, effects.disturbance(), ground_mps)
+            state = initial_response(self.effects)
         names = dict(enumerate(self.effects.names)) | {LOAD: "load", PITOT: "airspeed"}
         return [
             (verdict.row, _result(verdict, [names[n] for n in verdict.isolated if n in names]))
             for verdict in state.add_block(block)
         ], state
+
+
+def initial_response(effects: Effects) -> ActuatorResponse:
+    """The state when the first command comes."""
+    ground_mps = BY_FIRST_FIX if ELEVATOR in effects.names else FLYING_SPEED_MPS
+    bins, model = MotionBins(effects.lags_s), initial_motion_model(effects)
+    return ActuatorResponse(bins, model, effects.disturbance(), ground_mps)
 
 
 def _result(verdict: ActuatorVerdict, isolated: list[str]) -> SensorDecision:

@@ -207,6 +207,29 @@ def _vibration(
     )
 
 
+@inlined
+def _turn_rotors(
+    x: Array,
+    after: Array,
+    load: Array,
+    omegas: Array,
+    rotors: Array,
+    frame: Airframe,
+    mass: float,
+    dt: float,
+) -> None:
+    """Turn the rotors for `dt` seconds at speeds (n,), and add their vibration to the load."""
+    n = len(rotors)
+    for i in range(n):
+        angle, omega = x[RIGID_SIZE + n + i], omegas[i]
+        after[RIGID_SIZE + i] = omega
+        after[RIGID_SIZE + n + i] = (angle + omega * dt) % math.tau
+        if rotors[i, _UNBALANCE] != 0.0 or rotors[i, _RIPPLE] != 0.0:
+            shaking = _vibration(rotors[i], angle, omega, dt, frame)
+            for axis in range(3):
+                load[FORCE + axis] += shaking[axis] / mass
+
+
 @compiled
 def integrate_flight(
     x: Array,
@@ -264,13 +287,7 @@ def integrate_flight(
         load[FORCE + i] = f[i] / body.mass_kg
     power = 0.0  # mean cube of the speeds relative to full speed
     for i in range(n):
-        after[RIGID_SIZE + i] = speeds[0, i]
-        angle = x[RIGID_SIZE + n + i]
-        after[RIGID_SIZE + n + i] = (angle + speeds[0, i] * steps * dt) % math.tau
-        if rotors[i, _UNBALANCE] != 0.0 or rotors[i, _RIPPLE] != 0.0:
-            shaking = _vibration(rotors[i], angle, speeds[0, i], steps * dt, frame)
-            for axis in range(3):
-                load[FORCE + axis] += shaking[axis] / body.mass_kg
         power += (speeds[0, i] / frame.full) ** 3 / n
     after[_CURRENT] = load[CURRENT] = supply.full_throttle_a * power
     after[_CHARGE_DRAWN] = x[_CHARGE_DRAWN] + load[CURRENT] * steps * dt
+    _turn_rotors(x, after, load, speeds[0], rotors, frame, body.mass_kg, steps * dt)

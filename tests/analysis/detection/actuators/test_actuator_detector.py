@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from analysis.detection.actuators.actuator_detector import ActuatorDetector, _initial_state
+from analysis.detection.actuators.actuator_detector import ActuatorDetector, initial_response
 from analysis.detection.actuators.actuator_hypotheses import NO_HYPOTHESIS, ActuatorHypothesis
 from analysis.detection.actuators.alarm_precedence import CRASHED
 from analysis.detection.actuators.effects import FORWARD, OUTPUT, TERMS, THROTTLE
@@ -402,7 +402,7 @@ def test_impossible_values_are_ignored(absurd: float) -> None:
 
 def test_the_end_of_a_fault_is_no_evidence_of_another() -> None:
     """Residual and command drop together as a motor recovers, which is what a total loss does."""
-    response = _initial_state(setup_of("quad").monitor.actuators)
+    response = initial_response(setup_of("quad").monitor.actuators)
     regression = response.regression
     response.isolated = (NO_HYPOTHESIS, 0)
     regression.own[0], regression.shared[0], regression.weight = 8e4, 7.9e4, 18.0
@@ -423,7 +423,7 @@ def test_no_actuator_leads_its_command(vehicle: str) -> None:
 def test_near_the_ground_that_it_took_off_from_a_vehicle_may_touch_it_at_any_speed(
     first: float, suspended: bool
 ) -> None:
-    state = _initial_state(setup_of("quad").monitor.actuators)
+    state = initial_response(setup_of("quad").monitor.actuators)
     commands = CommandSample(0, np.full(12, first), "HIL_ACTUATOR_CONTROLS")
     drifting = np.array([5.0, 0.0, 0.7])
     fixes = [
