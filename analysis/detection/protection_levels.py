@@ -49,8 +49,6 @@ ONE_SYSTEM, SEVERAL_SYSTEMS = (
     "at most one satellite is wrong",
     "at most one satellite or system is wrong",
 )
-UNSEEN_INFORMATION = 1e-9  # 1/m^2: keeps N regular where a system has no satellite left
-LARGEST_LEVEL_M = 1e4  # a larger level is reported as none
 
 
 class PositionBounds(NamedTuple):
@@ -188,15 +186,15 @@ def _levels(a: Vector, weight: Vector, v: Vector, factors: Vector) -> Vector:
 @inlined
 def _widen(most: Vector, k: int, off_m: float, variance: float, factor: float) -> None:
     """Widen the level of an axis by a snapshot's shift and variance."""
-    known = 0.0 < variance < LARGEST_LEVEL_M * LARGEST_LEVEL_M
-    most[k] = max(most[k], abs(off_m) + factor * math.sqrt(variance) if known else np.inf)
+    level_m = abs(off_m) + factor * math.sqrt(variance) if variance > 0.0 else np.inf
+    most[k] = max(most[k], level_m)
 
 
 @compiled
 def _snapshot(a: Vector, weight: Vector, v: Vector) -> tuple[Vector, Vector]:
     """The snapshot (c,) of those with a weight (n,), from where v (n,) was taken, with its
     covariance (c, c)."""
-    cofactor = snapshot_cofactor(a, weight, UNSEEN_INFORMATION)
+    cofactor = snapshot_cofactor(a, weight)
     b, off = np.zeros(a.shape[1]), np.zeros(a.shape[1])
     for k in range(a.shape[1]):
         for i in range(a.shape[0]):

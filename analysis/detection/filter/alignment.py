@@ -74,10 +74,8 @@ def extend_alignment(
 ) -> Alignment:
     """The alignment after one epoch more, with the IMU's samples (k, 7) since the last one."""
     q, alpha = _integrate(alignment.q_0b, alignment.alpha, samples)
-    speed, turn = alignment.unsampled
-    unmeasured = unmeasured_variances(samples)
-    if unmeasured is not None:
-        speed, turn = speed + float(unmeasured[0].sum()), turn + float(unmeasured[1].sum())
+    (speed, turn), (added_speed, added_turn) = alignment.unsampled, unmeasured_variances(samples)
+    speed, turn = speed + added_speed, turn + added_turn
     v = motion.x[3:6]
     # Coriolis over the interval by the mean velocity of its two ends.
     mean = 0.5 * (v + alignment.v_ecef_mps)

@@ -37,7 +37,6 @@ X_Q, X_BG, X_BA, X_CLOCK, X_DRIFT, X_ISB = 6, 10, 13, 16, 17, 18
 DT, GYRO, ACCEL, SAMPLE_COLUMNS = 0, 1, 4, 7  # columns of a sample, and how many
 # One sigma of the biases of cheap MEMS sensors at power-on; the filter narrows them in flight.
 GYRO_BIAS_SIGMA_RPS, ACCEL_BIAS_SIGMA_MPS2 = 0.02, 0.3
-COVARIANCE_STEP_S = 0.25  # at most propagated at once: exact but for the third power
 SPARSE_SAMPLE_S = 0.03  # in longer steps force and rates may have changed unmeasured
 
 
@@ -182,19 +181,14 @@ def _add_step(phi: Vector, c: Nine, f: Three, dt: float) -> None:
 
 
 @compiled
-def _advance(x: Vector, phi: Vector, samples: Vector, row: int) -> int:
-    """Advance x and the transition phi (400,) in place by the samples from a row on, over
-    `COVARIANCE_STEP_S` at most; returns the row after."""
-    until_s = COVARIANCE_STEP_S
-    while row < samples.shape[0] and until_s > 0.0:
+def _advance(x: Vector, phi: Vector, samples: Vector) -> None:
+    """Advance x and the transition phi (400,) in place by the samples."""
+    for row in range(samples.shape[0]):
         # Two samples with one stamp are one sample.
         dt = samples[row, DT]
         if dt > 0.0:
             c, f = _mechanise(x, samples, row)
             _add_step(phi, c, f, dt)
-            until_s -= dt
-        row += 1
-    return row
 
 
 def propagate_inertial(
@@ -202,8 +196,7 @@ def propagate_inertial(
 ) -> tuple[Vector, Vector, Vector]:
     """State and covariance over a run of IMU samples.
 
-    State and transition advance by single samples, the covariance by transitions over at most
-    `COVARIANCE_STEP_S`.
+    State and transition advance by single samples, the covariance by the transition over all.
 
     Parameters
     ----------
@@ -215,32 +208,26 @@ def propagate_inertial(
     -------
     x, p and the transition (20, 20) of the whole run; the arguments stay as they were.
     """
-    x, whole, row = x.copy(), np.eye(ERROR_SIZE), 0
-    unmeasured = unmeasured_variances(samples)
-    while row < len(samples):
-        phi, first = np.eye(ERROR_SIZE), row
-        row = _advance(x, phi.reshape(-1), samples, row)
-        p = _propagated(p, phi, noise, True)
-        if unmeasured is not None:
-            speed, turn = unmeasured[:, first:row].sum(axis=1)
-            diagonal = np.einsum("ii->i", p)
-            diagonal[V:PSI] += speed
-            diagonal[PSI:BG] += turn
-        whole = phi if first == 0 else phi @ whole
-    return x, p, whole
+    x, phi = x.copy(), np.eye(ERROR_SIZE)
+    _advance(x, phi.reshape(-1), samples)
+    p = _propagated(p, phi, noise, True)
+    diagonal, (speed, turn) = np.einsum("ii->i", p), unmeasured_variances(samples)
+    diagonal[V:PSI] += speed
+    diagonal[PSI:BG] += turn
+    return x, p, phi
 
 
-def unmeasured_variances(samples: Vector) -> Vector | None:
-    """Variances (2, k) of velocity and attitude by what happens between the samples (k, 7) of a
-    slow IMU; None where all are close."""
+def unmeasured_variances(samples: Vector) -> tuple[float, float]:
+    """Variances of velocity and attitude by what happens between the samples (k, 7) of a slow
+    IMU."""
     sparse = samples[:, DT] > SPARSE_SAMPLE_S
     if not sparse.any():
-        return None
+        return 0.0, 0.0
     # Between two samples force and rates may have been anything: the mean square of their change is
     # that of white noise twice, on each of three axes.
     square = np.diff(samples[:, GYRO:], axis=0, prepend=samples[:1, GYRO:]) ** 2
     scale = sparse * samples[:, DT] ** 2 / 6.0
-    return np.array([scale * square[:, 3:].sum(axis=1), scale * square[:, :3].sum(axis=1)])
+    return float((scale @ square[:, 3:]).sum()), float((scale @ square[:, :3]).sum())
 
 
 @cache

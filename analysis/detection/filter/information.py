@@ -23,7 +23,7 @@ from mavproxy_fault.numerics.linear import invert_positive_definite, multiply_ma
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_in_reference
 
 RATE_STATES = np.array([V, V + 1, V + 2, DRIFT])
-VAGUE_INFORMATION = 1e-4  # 1/m^2, 100 m: of what no measurement observes
+VAGUE_INFORMATION = 1e-9  # 1/m^2: keeps N regular where no measurement observes an unknown
 # Measurements for each state: a snapshot of fewer follows lasting errors further than the filter.
 LEAST_REDUNDANCY = 2
 

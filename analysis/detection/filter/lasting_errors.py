@@ -68,12 +68,11 @@ def snapshot_design(h: Vector, axes: Vector) -> Vector:
 
 
 @compiled
-def snapshot_cofactor(a: Vector, weight: Vector, vague: float) -> Vector:
-    """inv(A'WA) (c, c) for weights (n,); `vague` is added to the information of each unknown, as an
-    unobserved one must not make it singular."""
+def snapshot_cofactor(a: Vector, weight: Vector) -> Vector:
+    """inv(A'WA) (c, c) for weights (n,)."""
     normal = np.zeros((a.shape[1], a.shape[1]))
     for k in range(a.shape[1]):
-        normal[k, k] = vague
+        normal[k, k] = VAGUE_INFORMATION
         for i in range(a.shape[0]):
             for j in range(a.shape[1]):
                 normal[k, j] += weight[i] * a[i, k] * a[i, j]
@@ -82,6 +81,6 @@ def snapshot_cofactor(a: Vector, weight: Vector, vague: float) -> Vector:
 
 def lasting_position_covariance(a: Vector, weight: Vector, lasts: Vector) -> Vector:
     """S L S' (3, 3) along the axes of A (n, c), with weights and lasting variances (n,), in m^2."""
-    cofactor = snapshot_cofactor(a, weight, VAGUE_INFORMATION)
+    cofactor = snapshot_cofactor(a, weight)
     response = cofactor[:AXES] @ (a.T * weight)
     return np.asarray((response * lasts) @ response.T)

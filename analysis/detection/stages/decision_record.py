@@ -14,7 +14,7 @@ from analysis.detection.filter.propagation import is_silent
 from analysis.detection.isolation.all_satellites import unbounded_reason
 from analysis.detection.isolation.epoch_tests import RateVerdict
 from analysis.detection.isolation.hypotheses import ONE_FOLLOWED
-from analysis.detection.protection_levels import LARGEST_LEVEL_M, PositionBounds, level_assumptions
+from analysis.detection.protection_levels import PositionBounds, level_assumptions
 from analysis.detection.receiver.position_test import AssessedFix, FixTest
 from analysis.detection.stages.epoch_outcome import TestedEpoch, reported_hypothesis
 from analysis.detection.stages.initial_fix import InitialFix
@@ -201,7 +201,7 @@ def _levels(bounds: PositionBounds | None, names: Iterable[str]) -> dict[str, An
 
 def _level(level_m: float) -> float | None:
     """A protection level as reported; None where there is none."""
-    return round(level_m, 3) if level_m < LARGEST_LEVEL_M else None
+    return round(level_m, 3) if math.isfinite(level_m) else None
 
 
 def build_fix_decision(
