@@ -27,7 +27,7 @@ MOST_WORK = 64  # frames that one frame may become
 SLOT = delay_queue.SLOT  # bytes kept for each
 MOST_CHAIN = 32  # entries that may act on one message
 SAMPLES = 1 << 14  # places for senders of sampled messages: two at one would sample every frame
-SAMPLED_SIZE = 1 << 20  # bytes for their frames, which are read ten times a second
+SAMPLED_SIZE = 1 << 20  # bytes for their frames, which are read five times a second
 
 # Columns of `table`, by message id
 KIND, EXTRA, STAMP_AT, STAMP_SIZE, STAMP_SCALE, TARGET_SYSTEM, TARGET_COMPONENT = range(7)

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 LEASE_S = 5.0  # a subscription expires this long after its last renewal
 MOST_MESSAGES = 32
 MOST_SAMPLERS = 256
-MOST_ROWS = 250  # buffered between two reads: 5 s, or 0.1 s of a flight at 50 times the speed
+MOST_ROWS = 500  # buffered between two reads: 10 s, or 0.2 s of a flight at 50 times the speed
 
 RANGES = "PSEUDORANGE"
 RECEIVED, SENT = (False,), (True,)

@@ -11,7 +11,7 @@ const WARNINGS = new Set(["constant position", "GPS glitch", "accelerometer erro
 const RATIOS = { vel_ratio: "velocity", pos_horiz_ratio: "horizontal position", pos_vert_ratio: "height", mag_ratio: "magnetometer", hagl_ratio: "height above ground", tas_ratio: "airspeed" };
 const VARIANCES = { velocity_variance: "velocity", pos_horiz_variance: "horizontal position", pos_vert_variance: "height", compass_variance: "magnetometer", terrain_alt_variance: "terrain" };
 const LOST_US = 3e6;
-const UPDATE_MS = 100; // between two batches of samples
+const UPDATE_MS = 200; // between two batches of samples
 
 // The views move evenly from batch to batch: they show the samples of the newest one at their own times.
 const played = { us: null, newest_us: null, from_us: 0, ms: 0 };
