@@ -33,7 +33,7 @@ DEFAULT_RUN = "live"
 # Python's default of 5 ms would delay a frame by as much.
 SWITCH_INTERVAL_S = 2e-4
 WATCH = "@ctl/watch"
-PUBLISH_PERIOD_S = 0.2  # between updates for viewers: each costs 0.3 ms, and the page plays it evenly
+PUBLISH_PERIOD_S = 0.2  # between updates for viewers: each costs 0.3 ms, the page plays it evenly
 LABELS_KEPT = 100
 LOG = logging.getLogger(__name__)
 
