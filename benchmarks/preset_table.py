@@ -23,6 +23,7 @@ from analysis.monitor.pipeline import MonitorConfig
 from analysis.run.proxied_flight import ProxiedFlight
 from analysis.run.run_setup import read_setup
 from analysis.scoring.criteria import Criteria
+from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.schedule.presets import preset_names
 from simvehicle.scenario.scenario_file import Scenario
@@ -131,7 +132,11 @@ def fly_preset(job: tuple[str, str]) -> Row:
         entry["target"] = ELEVATOR
     seed = setting(vehicle)[0].seed
     schedule = parse_schedule({"seed": seed, "faults": [entry]}, via="simulator")
-    found, base = fly_schedule(vehicle, schedule), fly_reference(vehicle)
+    base = fly_reference(vehicle)
+    try:
+        found = fly_schedule(vehicle, schedule)
+    except ConfigError:  # the vehicle has no such part
+        found = base
     rows = found.faults
     acted = len({row["id"] for row in rows})
     delays = [row["delay_s"] for row in rows if row["delay_s"] is not None]

@@ -18,20 +18,15 @@ from analysis.processes import fork_context, spawn_context
 from analysis.report.judging.checks import worst_first
 from analysis.report.log_report import report_flight
 from analysis.report.page.index_page import UNREADABLE, index_html
+from analysis.report.recordings.flight_sources import is_run_folder
 from analysis.report.recordings.log_paths import PACKED, log_file
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
 
 LOGS = (".tlog", ".ulg", ".bin", ".log")
-RUN_LOGS = ("sent.tlog", "received.tlog")
 WORST_SHOWN = 3  # checks shown per flight
 
 Row = dict[str, Any]
-
-
-def is_run_folder(folder: Path) -> bool:
-    """Whether a folder is a run folder."""
-    return any((folder / name).is_file() for name in RUN_LOGS)
 
 
 def report_folder(folder: Path, args: argparse.Namespace) -> int:

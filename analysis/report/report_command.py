@@ -10,9 +10,9 @@ import msgspec
 from analysis.report.flight_verdict import FlightAssessment, assess_flight
 from analysis.report.judging.check_limits import read_thresholds
 from analysis.report.judging.checks import FAIL, chain_text, worst_first
-from analysis.report.log_folder import is_run_folder, report_folder
+from analysis.report.log_folder import report_folder
 from analysis.report.log_report import report_flight
-from analysis.report.recordings.flight_sources import group_logs, read_flight
+from analysis.report.recordings.flight_sources import group_logs, is_run_folder, read_flight
 from analysis.report.recordings.log_paths import log_file, log_files
 from analysis.scoring.vehicle_outcome import VehicleOutcome, describe_vehicle
 from mavproxy_fault.app.command_result import open_console, print_result

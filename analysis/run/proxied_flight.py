@@ -7,6 +7,7 @@ publishes the output.
 import logging
 from typing import Any, NamedTuple
 
+from analysis.run.vehicle_parts import check_parts
 from analysis.scoring.fault_channels import ACTUATORS, target_visibility
 from mavproxy_fault.live.control import LiveControl
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
@@ -59,8 +60,9 @@ class ProxiedFlight:
     def __init__(self, scenario: Scenario, schedule: Schedule) -> None:
         check_sensors(scenario)
         self.duration_s = scenario.duration_s
-        self.simulation = Simulation(scenario)
-        self.engine = Engine(schedule)
+        simulation = self.simulation = Simulation(scenario)
+        # Also what is injected in flight: a fault of a missing part would be labelled.
+        self.engine = Engine(schedule, check=lambda one: check_parts(one, lambda: simulation))
         self.capture = CaptureBuffer()
         self.control = LiveControl(self.engine)
         self.core = Core(LINKS, self.engine, tape=self.capture, control=self.control)

@@ -11,6 +11,7 @@ import msgspec
 from analysis.estimators import estimator_names
 from analysis.monitor.pipeline import MonitorConfig, monitor_config
 from analysis.run.vehicle_effects import vehicle_effects
+from analysis.run.vehicle_parts import check_parts
 from analysis.scoring.criteria import Criteria
 from analysis.scoring.requirements import Requirement, read_requirements
 from mavproxy_fault.documents.document_check import decode
@@ -18,7 +19,6 @@ from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
 from mavproxy_fault.documents.yaml_document import Document, Lines
 from mavproxy_fault.documents.yaml_document import Path as DocumentPath
-from mavproxy_fault.faults.plant_fault import SimulatorFault
 from mavproxy_fault.schedule.entries import Schedule, parse_schedule, read_schedule
 from simvehicle.scenario.changed_scenario import change_scenario, parse_change
 from simvehicle.scenario.scenario_file import Scenario, decode_scenario, open_scenario
@@ -67,7 +67,7 @@ def read_setup(
     # Check the vehicle's parameters before anything starts.
     find_vehicle_kind(scenario.vehicle.kind).read(scenario.vehicle.parameters)
     faults = read_schedule(schedule) if schedule is not None else _schedule(scenario, document)
-    _check_plant(scenario, faults)
+    check_parts(faults.faults, lambda: Simulation(scenario))
     criteria = Criteria()
     if scenario.criteria is not None:
         criteria = decode(document, Criteria, ("criteria",))
@@ -96,26 +96,6 @@ def setup_from_args(args: argparse.Namespace) -> RunSetup:
         if name not in (known := estimator_names()):
             raise ConfigError(f"--estimators: {name} is unknown; {suggest_known(name, known)}")
     return read_setup(args.scenario, args.schedule, args.seed, changes, estimators, args.require)
-
-
-def _check_plant(scenario: Scenario, schedule: Schedule) -> None:
-    """Refuse plant faults of parts that the simulated vehicle lacks: they would never act."""
-    plant_faults = [
-        (entry.id, name)
-        for entry in schedule.faults
-        if isinstance(entry.fault, SimulatorFault)
-        for name in entry.fault.names
-    ]
-    simulation = Simulation(scenario) if plant_faults else None
-    errors = []
-    for id, name in plant_faults:
-        assert simulation is not None
-        try:
-            simulation.check_plant(name)
-        except ConfigError as error:
-            errors.append(f"fault {id}: {error}")
-    if errors:
-        raise ConfigError("\n".join(errors))
 
 
 def _field_ned_gauss(scenario: Scenario) -> tuple[float, float, float] | None:

@@ -29,7 +29,7 @@ from mavproxy_fault.numerics.constants import (
     STANDARD_GRAVITY_MPS2,
 )
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
-from simvehicle.hil.actuator_commands import ACTUATOR_CHANNELS
+from simvehicle.hil.actuator_commands import actuator_channels
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.simulation.vehicle_kinds import find_vehicle_kind
 from simvehicle.vehicles.rigidbody_kernel import E0, RIGID_SIZE, P, U
@@ -135,10 +135,10 @@ def vehicle_effects(scenario: Scenario) -> Effects:
 
     coefficients, mix = np.zeros((BODY_AXES, TERMS)), np.zeros((COMMANDS, COMMANDS))
     lags_s = np.zeros(COMMANDS)
-    for i, name in enumerate(names[:COMMANDS]):
+    for i, outputs in enumerate(actuator_channels(names)[:COMMANDS]):
         coefficients[:, OUTPUT + i] = by_command(i, COMMAND_STEP)
         lags_s[i] = trimmed.lag_s(i)
-        channels = [pair for pair in ACTUATOR_CHANNELS.get(name, ((i, 1.0),)) if pair[0] < COMMANDS]
+        channels = [pair for pair in outputs if pair[0] < COMMANDS]
         for channel, sign in channels:
             mix[i, channel] = sign / len(channels)
     for i in range(3):

@@ -151,12 +151,12 @@ def open_live(args: argparse.Namespace, engine: "Engine | None", server: Server)
     from mavproxy_fault.live.edit_log import EditLog
     from mavproxy_fault.live.rflysim import DEFAULT_MAP, read_map
     from mavproxy_fault.live.session import LiveSession
-    from mavproxy_fault.proxy.engine import Engine
+    from mavproxy_fault.proxy.engine import Engine, refuse_commands
     from mavproxy_fault.schedule.entries import Schedule
 
     rflysim = read_map(args.rflysim_map or DEFAULT_MAP) if args.rflysim is not None else None
     control = LiveControl(
-        engine or Engine(Schedule(0, ()), commands=args.allow_commands),
+        engine or Engine(Schedule(0, ()), check=None if args.allow_commands else refuse_commands),
         allowed=args.inject,
         rflysim=rflysim,
         # Series files are read only from the folders given by --files.
@@ -200,10 +200,11 @@ def make_engine(args: argparse.Namespace) -> "Engine | None":
     """The engine of `--schedule`; None without."""
     if not args.schedule:
         return None
-    from mavproxy_fault.proxy.engine import Engine
+    from mavproxy_fault.proxy.engine import Engine, refuse_commands
     from mavproxy_fault.schedule.entries import read_schedule
 
-    engine = Engine(read_schedule(args.schedule), commands=args.allow_commands)
+    refuse = None if args.allow_commands else refuse_commands
+    engine = Engine(read_schedule(args.schedule), check=refuse)
     if engine.draws:  # or the first random draw would delay a frame
         import numpy.random  # noqa: F401
     return engine

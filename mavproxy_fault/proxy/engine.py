@@ -6,7 +6,7 @@ output of the one before; one that counts in link time acts when that output is 
 in `wanted` need to pass through the engine; inactive entries cost nothing.
 """
 
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from heapq import heapify, heappop, heappush
 from typing import Any
 
@@ -25,15 +25,27 @@ from mavproxy_fault.wire.label import Label
 
 MAX_ENDED_FAULTS = 32  # ended injected faults that a page still shows
 
+Check = Callable[[Sequence[Entry]], None]
+
+
+def refuse_commands(entries: Sequence[Entry]) -> None:
+    """Refuse entries that command the vehicle."""
+    for entry in entries:
+        if getattr(entry.fault, "commands_vehicle", False):
+            raise ConfigError(
+                f"{entry.id}: commands the vehicle, which is not allowed; start the proxy "
+                "with --allow-commands"
+            )
+
 
 class Engine:
     """Runs a schedule; `revision` changes whenever `wanted` may have changed.
 
-    With `commands` false, a schedule that commands the vehicle raises ConfigError.
+    `check` raises ConfigError for a schedule or an injected fault that is not allowed.
     """
 
-    def __init__(self, schedule: Schedule, *, commands: bool = True) -> None:
-        self._commands = commands
+    def __init__(self, schedule: Schedule, *, check: Check | None = None) -> None:
+        self._check = check or (lambda entries: None)
         self._check(schedule.faults)
         self.seed = schedule.seed
         self.revision = 0
@@ -370,15 +382,6 @@ class Engine:
             self._drop_ended()
         self._update_wanted()
         return [one.id for one in entries]
-
-    def _check(self, entries: Iterable[Entry]) -> None:
-        """Refuse entries that command the vehicle unless that is allowed."""
-        for entry in entries:
-            if not self._commands and getattr(entry.fault, "commands_vehicle", False):
-                raise ConfigError(
-                    f"{entry.id}: commands the vehicle, which is not allowed; start the proxy "
-                    "with --allow-commands"
-                )
 
     def _drop_ended(self) -> None:
         """Remove ended injected faults, except the latest, which a page may show."""

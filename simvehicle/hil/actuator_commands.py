@@ -33,6 +33,11 @@ ACTUATOR_CHANNELS: dict[str, tuple[tuple[int, float], ...]] = {
 }
 
 
+def actuator_channels(actuators: Sequence[str]) -> list[tuple[tuple[int, float], ...]]:
+    """The channels of each actuator of a vehicle, and their signs."""
+    return [ACTUATOR_CHANNELS.get(name, ((at, 1.0),)) for at, name in enumerate(actuators)]
+
+
 class ActuatorCommands:
     """Sends one vehicle's commands; `last_received` is the last command that came back."""
 
@@ -40,9 +45,7 @@ class ActuatorCommands:
         self.last_received: Controls | None = None
         self._mix = mix
         self._seq = 0
-        self._channels = [
-            ACTUATOR_CHANNELS.get(name, ((number, 1.0),)) for number, name in enumerate(actuators)
-        ]
+        self._channels = actuator_channels(actuators)
 
     def frame(self, t_us: int, values: Array) -> bytes:
         """The message that commands the actuators to `values` (n,) at `t_us`."""

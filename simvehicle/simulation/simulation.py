@@ -15,7 +15,7 @@ import numpy as np
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.rotations.rotation import quat_from_euler
-from mavproxy_fault.wire.plant_names import SENSORS, WIND
+from mavproxy_fault.wire.plant_names import COMPASS, RECEIVER, SENSORS, SIGNALS, WIND
 from simvehicle.environment.geolocation import (
     AIR,
     AIR_VELOCITY,
@@ -216,6 +216,7 @@ class Simulation:
         ConfigError
             If the name is unknown or the value is impossible.
         """
+        self.check_plant(name)
         if name in SENSORS:
             self._flight["disturbance"][SENSORS.index(name)] = value or 0.0
         elif name in WIND:
@@ -244,8 +245,14 @@ class Simulation:
         ConfigError
             Lists the supported names.
         """
-        if name not in (*WIND, *SENSORS, *self.vehicle.plant_names):
+        if name not in self._plant_names:
             self._with_satellite_plant(name, None)
+
+    @property
+    def _plant_names(self) -> tuple[str, ...]:
+        """The supported plant faults but those of the GNSS sensor."""
+        sensors = [name for name in SENSORS if self.scenario.sensors.mag or name not in COMPASS]
+        return (*self.vehicle.plant_names, *WIND, *sensors)
 
     def pitot_offset_pa(self) -> float | None:
         """The pitot tube's offset in still air [Pa], as a preflight calibration measures it; None
@@ -258,12 +265,13 @@ class Simulation:
 
     def _with_satellite_plant(self, name: str, value: float | None) -> tuple[OnboardSensor, Any]:
         """The GNSS sensor, and its state with one plant fault set."""
-        for fitted in self.onboard_sensors:
+        of_signals = name in RECEIVER or name.partition("[")[0] in SIGNALS
+        for fitted in self.onboard_sensors if of_signals else ():
             sensor: Any = fitted.sensor
             if hasattr(sensor, "with_plant"):
                 return fitted, sensor.with_plant(fitted.state, name, value)
-        known = ", ".join((*self.vehicle.plant_names, *WIND, *SENSORS))
-        raise ConfigError(f"plant: {name} is unknown; known: {known}")
+        kind, known = self.scenario.vehicle.kind, ", ".join(self._plant_names)
+        raise ConfigError(f"plant: {name} is unknown to this {kind}; known: {known}")
 
     def _initial_state(self) -> Array:
         """The vehicle's initial state: trimmed flight in the air, or standing on the ground."""

@@ -37,20 +37,23 @@ class AlarmPrecedence:
         """
         results: list[tuple[int, Result]] = []
         for row, result in rows:
-            if result.t_us >= crash_us:
-                result = _without_sensor_verdict(result, CRASHED)
-            elif tumbling[row]:
-                result = _without_sensor_verdict(result, TUMBLING)
+            crashed = result.t_us >= crash_us
+            lost = CRASHED if crashed else TUMBLING if tumbling[row] else ""
+            if lost:
+                result = _without_sensor_verdict(result, lost)
             if (found := _isolated_source(result)) in self.faulty_us:
                 self.faulty_us[found] = result.t_us
             elif isinstance(result, SensorDecision) and result.sensor == ACTUATORS and result.alarm:
-                result = self._actuator_alarm(result)
+                result = self._actuator_alarm(result, lost)
             results.append((row, result))
         return results
 
-    def _actuator_alarm(self, alarm: SensorDecision) -> SensorDecision:
+    def _actuator_alarm(self, alarm: SensorDecision, lost: str) -> SensorDecision:
         # A faulty actuator puts the IMU in doubt itself: what was isolated before stays isolated.
         is_new = alarm.t_us - self.actuator_us > ENDED_US
+        # What lies upside down follows no command, and a saturated gyro shows no response.
+        if is_new and lost:
+            return _untested(alarm, lost)
         for source, at_us in self.faulty_us.items():
             if alarm.t_us - at_us < RELEARNED_US and (is_new or OR_SEPARATOR not in source):
                 return _untested(alarm, f"{source} is at fault")

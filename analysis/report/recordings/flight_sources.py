@@ -18,6 +18,7 @@ from analysis.report.recordings.from_tlog import merge_logs, recording_of_tlog
 from analysis.report.recordings.reading_bar import reading_bar
 from analysis.report.recordings.thinning import WHOLE_BYTES, block_thinning, read_contents
 from analysis.results import Result, decode, read_results
+from mavproxy_fault.app.recorder import LABELS, RECEIVED, SENT
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.extras import import_extra
 from mavproxy_fault.wire import tlog
@@ -30,6 +31,7 @@ THINNED = (
     "{} is large ({:.0f} MB): rows of frequent messages are omitted, but no peaks; percentiles are "
     "biased to the extremes"
 )
+RUN_LOGS = (SENT, RECEIVED)  # as sent is what the autopilot read
 LEAST_SHARE = 0.01  # chosen: least share of frames in a file that counts as a tlog
 
 
@@ -73,22 +75,48 @@ def _is_mcap(path: Path) -> bool:
         return file.read(len(MCAP_MAGIC)) == MCAP_MAGIC
 
 
+def is_run_folder(folder: Path) -> bool:
+    """Whether a folder is a run folder."""
+    return any((folder / name).is_file() for name in RUN_LOGS)
+
+
+def _run_folder_of(path: Path) -> Path | None:
+    """The run folder that holds a log: one of its own, or the autopilot's."""
+    if path.name in RUN_LOGS:
+        return path.parent
+    above = [one.parent for one in path.resolve().parents if one.name == "autopilot"]
+    return next(filter(is_run_folder, above), None)
+
+
 @np.errstate(invalid="ignore", over="ignore")  # a log may hold any bits as a number
 def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> RecordedFlight:
-    """Read the flight in a group of paths.
+    """Read the flight in a group of paths; a log of a run is read with the run's labels, results
+    and summary, so that each has the verdict of the run.
 
     Raises
     ------
     ConfigError
         If a file is missing, empty, or not a supported log.
     """
-    if paths[0].is_dir():
-        return _run_folder(paths[0], labels)
-    t0_us = labels[0].t0_us if labels else None
     path = paths[0]
-    if path.suffix == ".jsonl" or _is_mcap(path):
+    run = path if path.is_dir() else _run_folder_of(path)
+    results: list[Result] = []
+    summary: dict[str, Any] = {}
+    if run is not None:
+        if not labels and (run / LABELS).is_file():
+            labels = read_labels(run / LABELS)
+        results = _results(run / "results.jsonl")
+        if (summary_file := run / "summary.json").is_file():
+            summary = msgspec.json.decode(summary_file.read_bytes())
+    t0_us = labels[0].t0_us if labels else None
+    if path.is_dir():
+        if not is_run_folder(path):
+            raise ConfigError(f"{path}: neither sent.tlog nor received.tlog; give a run folder")
+        sent = next(path / name for name in RUN_LOGS if (path / name).is_file())
+        recording = replace(_tlogs([sent], t0_us), name=path.name)
+    elif path.suffix == ".jsonl" or _is_mcap(path):
         return _results_alone(path, labels)
-    if is_autopilot_log(path):
+    elif is_autopilot_log(path):
         size = written_bytes(path)
         with reading_bar(path) as progress:
             log = read_topics(path, thin=block_thinning(size), progress=progress)
@@ -101,8 +129,9 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> RecordedFligh
         raise ConfigError(
             f"{paths[0]}: the log holds no data that a report shows; give a complete log"
         )
-    recording.notes.extend(filter(None, map(_unwritten, paths)))
-    return _with_labels(RecordedFlight(recording, tuple(paths), labels))
+    if not path.is_dir():
+        recording.notes.extend(filter(None, map(_unwritten, paths)))
+    return _with_labels(RecordedFlight(recording, tuple(paths), labels, results, summary))
 
 
 def _unwritten(path: Path) -> str:
@@ -138,23 +167,6 @@ def _tlogs(paths: Sequence[Path], t0_us: int | None) -> FlightData:
         size=sum(log.size for log in logs.values()),
         junk_bytes=sum(log.junk_bytes for log in logs.values()),
     )
-
-
-def _run_folder(folder: Path, labels: Sequence[Label]) -> RecordedFlight:
-    """Read a run folder: the log as sent (else as received), labels, results and summary."""
-    log = next((p for p in (folder / "sent.tlog", folder / "received.tlog") if p.is_file()), None)
-    if log is None:
-        raise ConfigError(f"{folder}: neither sent.tlog nor received.tlog; give a run folder")
-    beside = folder / "labels.jsonl"
-    labels = labels or (read_labels(beside) if beside.is_file() else [])
-    recording = _tlogs([log], labels[0].t0_us if labels else None)
-    summary_file = folder / "summary.json"
-    summary = msgspec.json.decode(summary_file.read_bytes()) if summary_file.is_file() else {}
-    results = _results(folder / "results.jsonl")
-    flight = RecordedFlight(
-        replace(recording, name=folder.name), (folder,), labels, results, summary
-    )
-    return _with_labels(flight)
 
 
 def _results(path: Path) -> list[Result]:

@@ -48,7 +48,7 @@ FAULTS = [
     {"preset": "accel-stuck", "at_s": 0.9, "for_s": 0.3},
     {"preset": "gyro-noise", "at_s": 1.3, "for_s": 0.3},
     {"preset": "gps-jump", "at_s": 0.5, "for_s": 1},
-    {"fault": "scale", "target": "HIL_ACTUATOR_CONTROLS.controls[1]", "value": 0.5, "at_s": 1.7},
+    {"fault": "scale", "target": "HIL_ACTUATOR_CONTROLS.controls[2]", "value": 0.5, "at_s": 1.7},
     {"fault": "drop", "target": "HIL_SENSOR", "probability": 0.02, "at_s": 2.0, "for_s": 0.2},
     {"fault": "delay", "target": "HIL_GPS", "value": 0.15, "at_s": 2.3, "for_s": 0.5},
 ]

@@ -210,3 +210,25 @@ def test_a_run_folder_is_reported_with_its_labels_and_results(
     for source in (folder / "results.jsonl", tmp_path / "out" / "export" / "run.mcap"):
         report(source, "--out", tmp_path / "again")
         assert '"lane": "detected: baro"' in (tmp_path / "again" / "report.html").read_text()
+
+
+def test_each_log_of_a_run_is_reported_with_the_runs_labels_results_and_criteria(
+    flight: Flight, tmp_path: Path
+) -> None:
+    folder, own = tmp_path / "run", tmp_path / "run" / "autopilot" / "log"
+    own.mkdir(parents=True)
+    (folder / "sent.tlog").write_bytes(flight().read_bytes())
+    (own / "flight.tlog").write_bytes(flight().read_bytes())
+    alone = flight().rename(tmp_path / "alone.tlog")
+    (folder / "labels.jsonl").write_text(
+        '{"id":"a","fault":"bias","t0_us":1000000,"start_us":2000000,"end_us":3000000}\n'
+    )
+    row = {"name": "vehicle outcome", "limit": "at most failsafe", "value": "x", "passed": False}
+    (folder / "summary.json").write_text(json.dumps({"criteria": [row]}))
+    for log in (folder, folder / "sent.tlog", own / "flight.tlog"):
+        assert report(log, "--out", tmp_path / "out") == 1, log
+        text = (tmp_path / "out" / "report.html").read_text()
+        assert '"lane": "injected: a"' in text, log
+        assert "criterion: vehicle outcome" in text, log
+    report(alone, "--out", tmp_path / "out")
+    assert "injected: a" not in (tmp_path / "out" / "report.html").read_text()

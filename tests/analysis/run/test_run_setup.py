@@ -3,6 +3,7 @@ from pathlib import Path
 
 import pytest
 
+from analysis.run.proxied_flight import ProxiedFlight
 from analysis.run.run_setup import read_setup
 from analysis.run.vehicle_judging import report_unmatched_faults
 from mavproxy_fault.documents.errors import ConfigError
@@ -113,6 +114,47 @@ def test_a_plant_fault_of_a_missing_part_is_refused(
     with pytest.raises(ConfigError, match=f"fault a: plant: {re.escape(name)} is unknown") as error:
         read_setup(HOVER, str(schedule))
     assert known in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "fault", "error"),
+    [
+        (
+            None,  # a fixed wing with a GNSS receiver, whose plant faults it may not hide
+            "{id: a, preset: rotor-unbalance}",
+            r"fault a: plant: rotor_unbalance_kgm\[0\] is unknown to this fixedwing; known: mass",
+        ),
+        (
+            None,
+            "{id: a, preset: actuator-stuck}",
+            r"controls\[0\] drives no actuator of this vehicle; use HIL.*\[7\] \(elevator\), HIL",
+        ),
+        (
+            HOVER,
+            "{id: a, preset: actuator-stuck, target: 'HIL_ACTUATOR_CONTROLS.controls[4]'}",
+            r"controls\[4\] drives no actuator of this vehicle; use .*\[3\] \(motor 4\)$",
+        ),
+    ],
+)
+def test_a_fault_of_a_missing_part_is_refused_in_a_schedule_and_in_flight(
+    scenario: str | None, fault: str, error: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "faults.yaml"
+    path.write_text(f"faults: [{fault}]\n")
+    with pytest.raises(ConfigError, match=error):
+        read_setup(scenario, str(path))
+    flight = ProxiedFlight(read_setup(scenario).scenario, Schedule())
+    with pytest.raises(ConfigError, match=error):
+        flight.control.answer("x/@ctl/schedule/load", path.read_bytes(), 0)
+    assert flight.engine.ids() == []
+
+
+def test_a_compass_fault_is_refused_without_a_compass(tmp_path: Path) -> None:
+    path = tmp_path / "faults.yaml"
+    path.write_text("faults: [{id: a, preset: compass-motor-current}]\n")
+    read_setup(HOVER, str(path))
+    with pytest.raises(ConfigError, match="compass_y_gauss_per_a is unknown to this multirotor"):
+        read_setup(HOVER, str(path), changes={"sensors.mag": None})
 
 
 def test_a_schedule_whose_faults_matched_no_message_gives_no_verdict() -> None:

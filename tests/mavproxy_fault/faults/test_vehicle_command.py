@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.proxy.engine import Engine
+from mavproxy_fault.proxy.engine import Engine, refuse_commands
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
@@ -145,8 +145,8 @@ def test_an_invalid_command_is_refused(keys, reason):
 def test_without_permission_commands_are_refused_in_schedules_and_live():
     schedule = parse_schedule({"faults": [{"id": "up", "fault": "command", "do": "arm"}]})
     with pytest.raises(ConfigError, match=r"up: commands the vehicle.*--allow-commands"):
-        Engine(schedule, commands=False)
-    engine = Engine(parse_schedule({"faults": []}), commands=False)
+        Engine(schedule, check=refuse_commands)
+    engine = Engine(parse_schedule({"faults": []}), check=refuse_commands)
     with pytest.raises(ConfigError, match="--allow-commands"):
         engine.arm({"fault": "command", "do": "arm"})
     with pytest.raises(ConfigError, match="--allow-commands"):

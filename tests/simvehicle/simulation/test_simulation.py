@@ -159,7 +159,9 @@ def test_a_dead_motor_slows_the_vehicle_down() -> None:
 
 
 def test_an_unknown_plant_fault_names_the_known_ones() -> None:
-    with pytest.raises(ConfigError, match="inertia_scal is unknown; known: mass_kg_add"):
+    with pytest.raises(
+        ConfigError, match="inertia_scal is unknown to this fixedwing; known: mass_kg_add"
+    ):
         Simulation(scenario()).plant("inertia_scal", 2.0)
 
 

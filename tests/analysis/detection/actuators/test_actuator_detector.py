@@ -39,7 +39,7 @@ IMU_HZ = 100.0
 NEVER = {
     "fault": "constant",
     "value": 1.0,
-    "target": "HIL_ACTUATOR_CONTROLS.controls[1]",
+    "target": "HIL_ACTUATOR_CONTROLS.controls[2]",  # of a wing and of a quad
     "at_s": 1e4,
 }
 START_US = 1_000_000  # the vehicle's clock at the start of the flight

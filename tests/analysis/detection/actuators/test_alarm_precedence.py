@@ -45,3 +45,13 @@ def test_while_receiver_or_imu_are_in_doubt_only_actuators_isolated_before_stay_
     later = [actuator(10.4, "motor 1"), actuator(10.9, "motor 1"), actuator(14.0, "motor 3")]
     assert counted([*before, in_doubt(10.0), *later], "imu", "GPS-or-imu") == [True] * 3 + [False]
     assert counted([in_doubt(10.0), *later], "imu", "GPS-or-imu") == [False] * 3
+
+
+def test_in_a_tumble_and_after_a_crash_only_actuators_isolated_before_stay_so():
+    lasting = [actuator(9.9, "motor 1"), actuator(10.4, "motor 1"), actuator(10.9, "motor 1")]
+    rows = list(enumerate([*lasting, actuator(14.0, "motor 3")]))
+    for crash_us, tumbling in ((FOREVER_US, [False, True, True, True]), (10 * S, [False] * 4)):
+        kept = AlarmPrecedence({}).apply(rows, crash_us, np.array(tumbling))
+        assert [result.alarm for _, result in kept] == [True, True, True, False]
+        (_, anew), *_ = AlarmPrecedence({}).apply(rows[3:], crash_us, np.array(tumbling))
+        assert not anew.alarm
