@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import sys
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 from mavproxy_fault.app.command_parser import add_json, add_option, positive_count
@@ -192,6 +193,6 @@ def add_ui(commands: Any) -> None:
     option("--port PORT", "TCP port (default: 8350, or a free one if taken)", type=int)
     commanding = "allow the page to command the vehicle (arm, take off, ...), if the proxy does too"
     option("--allow-commands", commanding)
-    option("--sequences DIR", "folder for the test sequences of the page")
+    option("--sequences DIR", "folder for the test sequences of the page", type=Path)
     add_router(parser)
     parser.set_defaults(main=main_of("analysis.web.page_server"))

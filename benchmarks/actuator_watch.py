@@ -19,7 +19,7 @@ from analysis.detection.actuators.effects import COMMANDS, unknown_effects
 from analysis.run.run_setup import read_setup
 from analysis.run.vehicle_effects import vehicle_effects
 from analysis.samples.block import AIRSPEED, COMMAND, CONTROLS, FIX, IMU, WIDTH, Block
-from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.actuator_commands import ActuatorCommands
 from simvehicle.scenario.scenario_file import Scenario
@@ -97,7 +97,8 @@ def flown(vehicle: str, seed: int, duration_s: float, fault: Fault | None) -> Bl
     while simulation.truth.t_us < duration_s * 1e6 and simulation.truth.height_agl_m > LOW_M:
         t_us = simulation.truth.t_us
         values = np.array(simulation.commanded())
-        (frame,) = parser.push(commands.frame(t_us, values), datagram=True)
+        raw = build_frame(*commands.message(t_us, values))
+        (frame,) = parser.push(raw, datagram=True)
         assert isinstance(frame, Frame)
         rows.append((COMMAND, t_us, [*frame.values()["controls"][:COMMANDS], CONTROLS]))
         if len(rows) == 1:  # samples before the first command are ignored

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import msgspec
 import yaml
 
-from analysis.flying.worker_pool import InProcessPool
+from analysis.flying.worker_pool import WorkerPool
 from analysis.search.archive import Archive
 from analysis.search.evaluation.evaluator import Evaluator
 from analysis.search.search_command import search_cases
@@ -104,7 +104,7 @@ def measure(name: str, weakness: Weakness, binary: str, method: str) -> str:
     with tempfile.TemporaryDirectory(prefix="planted-") as scratch:
         folder = Path(scratch)
         test, archive = write_search(folder, weakness, binary, method), Archive(1)
-        flown, _ = search_cases(test, InProcessPool(), folder / "found", archive, Counter(), None)
+        flown, _ = search_cases(test, WorkerPool(), folder / "found", archive, Counter(), None)
         case = archive.cases[0]
         if case.fitness <= 0.0:
             return " | ".join([name, weakness.violate, f"not in {flown}", "", "", ""])

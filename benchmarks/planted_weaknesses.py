@@ -27,7 +27,7 @@ import yaml
 from analysis import estimators
 from analysis.estimators.complementary import Gains, Mahony
 from analysis.estimators.ekf import Ekf, Tuning
-from analysis.flying.worker_pool import InProcessPool
+from analysis.flying.worker_pool import WorkerPool
 from analysis.search.archive import Archive
 from analysis.search.history import RECORD
 from analysis.search.search_command import search_cases
@@ -176,7 +176,7 @@ def healthy_worst(folder: Path, weakness: Weakness) -> float:
     test = read_test(write_search(folder, weakness, 1e-3, BUDGET))
     archive = Archive(1)
     with weakness.planted(wrong=False):
-        search_cases(test, InProcessPool(), folder / "healthy", archive, Counter(), None)
+        search_cases(test, WorkerPool(), folder / "healthy", archive, Counter(), None)
     return archive.cases[0].fitness + 1e-3
 
 

@@ -4,6 +4,7 @@
 function nameParts() {
   document.querySelector(".md-search")?.setAttribute("aria-label", "Search");
   document.querySelector(".md-search__options")?.setAttribute("aria-label", "Search options");
+  document.querySelectorAll(".md-option[aria-hidden]").forEach((one) => { one.tabIndex = -1; }); // the system chooses the colours
   document.querySelectorAll(".md-typeset__scrollwrap").forEach((one) => { one.tabIndex = 0; }); // scrolled by keys
   document.querySelectorAll(".md-code__nav").forEach((one, n) => one.setAttribute("aria-label", `Code block ${n + 1}`));
 }

@@ -67,19 +67,20 @@ def browser() -> Iterator[Any]:
         found.close()
 
 
-WIDTHS_PX = (390, 1024, 1440)  # a telephone, a tablet on its side, a desk
-SCHEMES = ("light", "dark", "light")  # colours do not depend on the width, nor widths on colours
+# Width in pixels and colours of a telephone, a tablet on its side, a desk: colours do not depend on
+# the width, nor widths on colours.
+SCREENS = ((390, "light"), (1024, "dark"), (1440, "light"))
 
 
 @pytest.fixture(scope="session")
-def find_barriers() -> Callable[[Any], list[str]]:
+def find_barriers() -> Callable[..., list[str]]:
     """What axe-core finds on an open page, in light and dark, and where it scrolls sideways."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
 
-    def find(page: Any) -> list[str]:
+    def find(page: Any, screens: tuple[tuple[int, str], ...] = SCREENS) -> list[str]:
         found = []
         page.evaluate("for (const one of document.querySelectorAll('details')) one.open = true")
-        for width_px, scheme in zip(WIDTHS_PX, SCHEMES, strict=True):
+        for width_px, scheme in screens:
             page.emulate_media(color_scheme=scheme)
             page.set_viewport_size({"width": width_px, "height": 900})
             page.wait_for_timeout(200)  # the plots take the new width

@@ -42,23 +42,8 @@ class JobFailure(NamedTuple):
     reason: str
 
 
-class WorkerPool(Protocol):
-    """Runs as many jobs at once as it has `workers`; answers come in any order."""
-
-    workers: int
-
-    def start(self, number: int, job: Job) -> None:
-        """Start a job under the caller's number."""
-
-    def finished(self) -> tuple[int, Any]:
-        """Wait for the next answer, or JobFailure; return its number and the answer."""
-
-    def close(self) -> None:
-        """End all unfinished jobs."""
-
-
-class InProcessPool:
-    """This process, one job after the other."""
+class WorkerPool:
+    """Runs as many jobs at once as it has `workers`; this one, in this process, one by one."""
 
     workers = 1
 
@@ -66,19 +51,20 @@ class InProcessPool:
         self._waiting: deque[tuple[int, Job]] = deque()
 
     def start(self, number: int, job: Job) -> None:
-        """Queue a job."""
+        """Start a job under the caller's number."""
         self._waiting.append((number, job))
 
     def finished(self) -> tuple[int, Any]:
-        """Run the next job."""
+        """Wait for the next answer, or JobFailure, in any order; return its number and the
+        answer."""
         number, job = self._waiting.popleft()
         return number, _run_job(job)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """End all unfinished jobs."""
 
 
-class LocalWorkerPool:
+class LocalWorkerPool(WorkerPool):
     """Processes of this machine, each with one job at a time; `limit_s` is that of a job."""
 
     def __init__(self, workers: int, limit_s: float | None = None) -> None:
@@ -112,7 +98,7 @@ class LocalWorkerPool:
         self._pool.join()
 
 
-class RayWorkerPool:
+class RayWorkerPool(WorkerPool):
     """A Ray cluster; jobs whose node dies are repeated.
 
     Raises
@@ -172,7 +158,7 @@ def open_worker_pool(
     if ray_address is not None:
         return RayWorkerPool(ray_address, limit_s)
     if limit_s is None and workers in (None, 1):
-        return InProcessPool()
+        return WorkerPool()
     return LocalWorkerPool(workers or 1, limit_s)
 
 

@@ -127,7 +127,8 @@ class ProxiedFlight:
         return the other sends and the commands as sent."""
         if self._commands is None:
             return [], b""
-        raw = self._commands.frame(self.vehicle_us, self.simulation.commanded())
+        message = self._commands.message(self.vehicle_us, self.simulation.commanded())
+        raw = self._services.pack(message)
         sends = self.core.received(VEHICLE, raw, self.now_us)
         for link, data, _ in sends:
             if link == SIMULATOR:

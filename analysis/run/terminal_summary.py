@@ -1,7 +1,7 @@
 """Print the summary of a run to the terminal."""
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from analysis.scoring.requirements import RequirementResult
-from analysis.scoring.run_remarks import run_remarks
+from analysis.scoring.run_remarks import fault_remarks, run_remarks
 from analysis.scoring.vehicle_outcome import VehicleOutcome, describe_vehicle
 from mavproxy_fault.app.command_result import open_console, plain_table, print_result
 
@@ -39,8 +39,9 @@ def print_summary(summary: Mapping[str, Any], folder: Path | None) -> None:
         show("vehicle", describe_vehicle(found))
     if summary["faults"]:
         console.print(_faults(summary["faults"]))
-        for line in verdict_remarks(summary["faults"]):
-            show("", line)
+        for row in summary["faults"]:
+            for line in fault_remarks(row):
+                show("", f"{row['id']}: {line}")
     for fault in summary.get("never_acted", ()):
         show("never acted", f"fault {fault} matched no message", "yellow")
     for line in summary.get("edited", ()):
@@ -105,18 +106,6 @@ def _position_errors(summary: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             f"{row['alert_limit_m']:.0f} m in {100 * row['available_share']:.1f} % of epochs; "
             f"assumed: {' or '.join(row['assumes'])}",
         )
-
-
-def verdict_remarks(rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return the reasons of the verdicts, and the wrongly isolated sensors with their times."""
-    lines = [f"{row['id']}: {row['reason']}" for row in rows if row["reason"]]
-    lines += [
-        f"{row['id']}: {isolation['who']} wrongly isolated from {isolation['from_s']:.1f} s"
-        f" for {isolation['for_s']:.1f} s"
-        for row in rows
-        for isolation in row["wrongly"]
-    ]
-    return lines
 
 
 def _coloured(verdict: str) -> Text:

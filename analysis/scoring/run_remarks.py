@@ -28,6 +28,15 @@ def run_remarks(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     return found + [("not observable", text) for text in _limits(summary)]
 
 
+def fault_remarks(row: Mapping[str, Any]) -> list[str]:
+    """The reason of a fault's verdict, and the false isolations during the fault."""
+    wrongly = [
+        f"{one['who']} isolated wrongly from {one['from_s']:.1f} s for {one['for_s']:.1f} s"
+        for one in row.get("wrongly", ())
+    ]
+    return [row["reason"], *wrongly] if row.get("reason") else wrongly
+
+
 def _epochs(count: int) -> str:
     return "1 epoch" if count == 1 else f"{count} epochs"
 

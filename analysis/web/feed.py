@@ -12,6 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -87,12 +88,12 @@ class Feed:
         """Publish the status of the page itself."""
         self.add_sample(STATUS_KEY, msgspec.json.encode(state))
 
-    def announce_end(self, verdict: str, report: Path | None) -> None:
-        """Announce the end of the flight to the viewers, with its report and its command."""
+    def announce_end(self, result: dict[str, Any], report: Path | None) -> None:
+        """Announce the end of the flight to the viewers: result, report, and its command."""
         self.report = report
         path = None if report is None else str(report)
         again = shlex.join(["mavproxy-fault", *sys.argv[1:]])
-        end = {"verdict": verdict, "report": path, "again": again}
+        end = {**result, "report": path, "again": again}
         self.add_sample(END_KEY, msgspec.json.encode(end))
 
     def clear_run(self) -> None:

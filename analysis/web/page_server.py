@@ -13,8 +13,8 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
-from typing import NamedTuple
 
+import msgspec
 import uvicorn
 from starlette.applications import Starlette
 
@@ -68,36 +68,29 @@ class PageServer(uvicorn.Server):  # type: ignore[misc]
         self.force_exit = False
 
 
-class PageOptions(NamedTuple):
-    """Options of the page: commands to the vehicle, a folder of test sequences."""
-
-    commands: bool = False
-    sequences: Path | None = None
-
-
-NO_OPTIONS = PageOptions()
-
-
 def prepare_server(
     zenoh: str | None,
     port: int | None,
     config_file: str = "",
-    offer: PageOptions = NO_OPTIONS,
+    commands: bool = False,
+    sequences: Path | None = None,
     feed: Feed | None = None,
 ) -> tuple[PageServer, RunSource, socket.socket, str]:
     """The server, not started, its source, its socket, and the address with the token.
+
+    The page may command the vehicle with `commands`, and stores test sequences in `sequences`.
 
     Raises
     ------
     ConfigError
         If the port is in use or invalid, or the sequence folder does not exist.
     """
-    folder = SequenceFolder(offer.sequences)
+    folder = SequenceFolder(sequences)
     bound = open_socket(port)
     access, address = access_for(bound)
     feed = feed or Feed()
     source = RunSource(feed, zenoh, config_file)
-    page = LivePage(feed, source, access, folder, offer.commands)
+    page = LivePage(feed, source, access, folder, commands)
     return make_server(page.app), source, bound, address
 
 
@@ -148,7 +141,8 @@ def serve_page(
     zenoh: str | None = None,
     port: int | None = None,
     config_file: str = "",
-    offer: PageOptions = NO_OPTIONS,
+    commands: bool = False,
+    sequences: Path | None = None,
     feed: Feed | None = None,
 ) -> Iterator[str]:
     """Serve the page from a thread inside a `with` block; yields the address to open.
@@ -158,7 +152,9 @@ def serve_page(
     ConfigError
         If the port is in use or invalid.
     """
-    server, source, bound, address = prepare_server(zenoh, port, config_file, offer, feed)
+    server, source, bound, address = prepare_server(
+        zenoh, port, config_file, commands, sequences, feed
+    )
     with contextlib.closing(source), serve_in_thread(server, bound):
         yield address
 
@@ -179,9 +175,7 @@ def serve_beside(args: argparse.Namespace) -> Iterator[None]:
     args.zenoh = DEFAULT_URL if args.zenoh == "auto" else choose_free_port(args.zenoh)
     # The vehicle is simulated: commands are allowed.
     feed = Feed()
-    with serve_page(
-        args.zenoh, config_file=args.zenoh_config, offer=PageOptions(commands=True), feed=feed
-    ) as address:
+    with serve_page(args.zenoh, config_file=args.zenoh_config, commands=True, feed=feed) as address:
         print(f"page: {address}", flush=True)
         yield
         if args.out:
@@ -189,19 +183,32 @@ def serve_beside(args: argparse.Namespace) -> Iterator[None]:
 
 
 def announce_end(feed: Feed, folder: Path) -> None:
-    """Leave the verdict and the report of a flight with the viewers, before the server ends."""
-    summary, report = folder / "summary.json", folder / "report.html"
-    if summary.is_file():
-        verdict = json.loads(summary.read_text())["verdict"]
-        feed.announce_end(verdict, report.resolve() if report.is_file() else None)
+    """Leave the result and the report of a flight with the viewers, before the server ends."""
+    # The report has imported them by now; a page by itself does not need them.
+    from analysis.report.page.report_tables import criteria_reasons
+    from analysis.scoring.run_remarks import fault_remarks
+    from analysis.scoring.vehicle_outcome import VehicleOutcome, describe_vehicle
+
+    file, report = folder / "summary.json", folder / "report.html"
+    if file.is_file():
+        summary = json.loads(file.read_text())
+        found = summary.get("outcome") and msgspec.convert(summary["outcome"], VehicleOutcome)
+        end = {
+            "verdict": summary["verdict"],
+            "reasons": [text for _, text in criteria_reasons(summary)],
+            "vehicle": found and describe_vehicle(found),
+            "faults": [{**row, "remarks": fault_remarks(row)} for row in summary.get("faults", ())],
+        }
+        feed.announce_end(end, report.resolve() if report.is_file() else None)
         # Without a viewer there is nothing to wait for.
         time.sleep(FETCH_S if feed.viewers else 0.0)
 
 
 def main(args: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C."""
-    offer = PageOptions(args.allow_commands, Path(args.sequences) if args.sequences else None)
-    server, source, bound, address = prepare_server(args.zenoh, args.port, args.zenoh_config, offer)
+    server, source, bound, address = prepare_server(
+        args.zenoh, args.port, args.zenoh_config, args.allow_commands, args.sequences
+    )
     # uvicorn restores the signal handlers when it ends, before everything is closed here.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, server.handle_exit)

@@ -104,13 +104,13 @@ class AutopilotLink:
             mission_seq=self._flight.seq,
         )
         messages += self._missions.tick(t_us)
-        return [self._pack(m) for m in messages + self._streams.tick(self._snapshot)]
+        return [self.pack(m) for m in messages + self._streams.tick(self._snapshot)]
 
     def received(self, frame: Frame, t_us: int) -> list[bytes]:
         """The answers to one frame; none before the first `tick` or to other vehicles' frames."""
         if self._snapshot is None or not self._is_for_us(frame):
             return []
-        return [self._pack(m) for m in self._answer(frame, t_us, self._snapshot)]
+        return [self.pack(m) for m in self._answer(frame, t_us, self._snapshot)]
 
     def _answer(self, frame: Frame, t_us: int, snapshot: Snapshot) -> list[Message]:
         name = frame.layout.name
@@ -145,7 +145,8 @@ class AutopilotLink:
         # 0 is MAVLink's "to all".
         return system in (0, self._system) and component in (0, AUTOPILOT_COMPONENT)
 
-    def _pack(self, content: Message) -> bytes:
+    def pack(self, content: Message) -> bytes:
+        """The frame of a message, numbered in the one sequence of all that the autopilot sends."""
         layout, values = content
         seq = self._seq
         # The sequence number is a byte.

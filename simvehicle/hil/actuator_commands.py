@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.wire.dialect import message_layout
-from mavproxy_fault.wire.frame import Frame, build_frame
+from mavproxy_fault.wire.frame import Frame
+from simvehicle.hil.hil_messages import Message
 from simvehicle.vehicles.actuators import (
     ARMED_FLAG,
     CHANNEL_COUNT,
@@ -23,7 +24,6 @@ from simvehicle.vehicles.actuators import (
 from simvehicle.vehicles.body import Controls
 
 HIL_ACTUATOR_CONTROLS = message_layout("HIL_ACTUATOR_CONTROLS")
-SYSTEM, COMPONENT = 1, 1  # the autopilot's
 # Surface or throttle -> its channels and their signs; a motor's channel is its number
 ACTUATOR_CHANNELS: dict[str, tuple[tuple[int, float], ...]] = {
     "elevator": ((ELEVATOR, -1.0),),
@@ -39,25 +39,21 @@ def actuator_channels(actuators: Sequence[str]) -> list[tuple[tuple[int, float],
 
 
 class ActuatorCommands:
-    """Sends one vehicle's commands; `last_received` is the last command that came back."""
+    """The commands of one vehicle; `last_received` is the last command that came back."""
 
     def __init__(self, actuators: Sequence[str], mix: Mix) -> None:
         self.last_received: Controls | None = None
         self._mix = mix
-        self._seq = 0
         self._channels = actuator_channels(actuators)
 
-    def frame(self, t_us: int, values: Array) -> bytes:
+    def message(self, t_us: int, values: Array) -> Message:
         """The message that commands the actuators to `values` (n,) at `t_us`."""
         channels = [0.0] * CHANNEL_COUNT
         for value, outputs in zip(values.tolist(), self._channels, strict=True):
             for channel, sign in outputs:
                 channels[channel] = sign * value
         fields = {"time_usec": t_us, "controls": channels, "mode": ARMED_FLAG}
-        source = {"seq": self._seq, "system": SYSTEM, "component": COMPONENT}
-        raw = build_frame(HIL_ACTUATOR_CONTROLS, fields, **source)
-        self._seq = (self._seq + 1) % 256
-        return raw
+        return HIL_ACTUATOR_CONTROLS, fields
 
     def receive(self, frame: Frame) -> None:
         """Take a message at the actuators, including any changes made on the way."""

@@ -18,7 +18,7 @@ from analysis.report.page.fused_table import fused_table
 from analysis.report.page.page_parts import Cell, ReportTable, TimeButtons
 from analysis.report.recordings.from_results import isolation_matrix
 from analysis.results import Result
-from analysis.scoring.run_remarks import run_remarks
+from analysis.scoring.run_remarks import fault_remarks, run_remarks
 from mavproxy_fault.wire.label import Label
 
 EFFECTS = {"position_m": "position, m", "speed_mps": "speed, m/s", "attitude_deg": "attitude, °"}
@@ -67,7 +67,11 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
     if rows := summary.get("faults"):
         head = (*FAULT_COLUMNS, "verdict", "note")
         cells: list[list[Cell]] = [
-            [*_cells(row, FAULT_COLUMNS), (row["verdict"], row["verdict"]), _remark(row)]
+            [
+                *_cells(row, FAULT_COLUMNS),
+                (row["verdict"], row["verdict"]),
+                "; ".join(fault_remarks(row)),
+            ]
             for row in rows
         ]
         tables.append((TIMELINE, ReportTable("Injected against detected", head, cells)))
@@ -96,15 +100,6 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
 
 def _cells(row: Mapping[str, Any], columns: Mapping[str, str]) -> list[Cell]:
     return [_shown(row[key]) for key in columns.values()]
-
-
-def _remark(row: Mapping[str, Any]) -> str:
-    """Reason of the outcome, and false isolations during the fault."""
-    wrongly = (
-        f"{one['who']} isolated wrongly from {one['from_s']:.1f} s for {one['for_s']:.1f} s"
-        for one in row.get("wrongly", ())
-    )
-    return "; ".join(filter(None, (str(row.get("reason", "")), *wrongly)))
 
 
 def _effect_table(rows: Sequence[Mapping[str, Any]]) -> ReportTable:

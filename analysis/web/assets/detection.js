@@ -138,7 +138,7 @@ function showAnswers(batch) {
 }
 
 function showEvent(one) {
-  const text = one.type === "SensorDecision" ? `${NAMES[one.sensor] || one.sensor}: ${describeState(one)}`
+  const text = one.type === "SensorDecision" ? `${nameOf(one)}: ${describeState(one)}`
     : one.hypothesis === "none" ? "satellites: consistent" : describeDecision(one);
   addEvent(one.t_us, text, one.alarm ? "bad" : "");
 }

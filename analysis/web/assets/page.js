@@ -2,7 +2,7 @@
 // The page: messages of the socket go to their part of the page, which is drawn once per frame.
 
 const RETRY_MS = 1000;
-let ended = null; // verdict and folder of a run that has ended together with this page's server
+let ended = null; // the result of a run that has ended together with this page's server
 let run = null, lostRun = null, there = false, socket = null, requestedMessages = new Set();
 
 // -- the socket -------------------------------------------------------------------------------
@@ -61,12 +61,16 @@ function begin() {
   lostRun = null;
 }
 
-// The last message of a page beside a run: its verdict stays, and its report with it.
+// The last message of a page beside a run: its result stays, in the place of the forms that no server answers now.
 async function showEnd(news) {
   ended = news;
   const place = $("connection");
   place.className = "there";
   document.body.classList.remove("lost");
+  document.body.classList.add("ended");
+  verdicts.finish();
+  $("result").append(...[...news.vehicle ? [`vehicle ${news.vehicle}`] : [], ...news.reasons].map((textContent) => make("p", { textContent })));
+  $("faults").replaceChildren(...news.faults.map(resultRow));
   place.textContent = `The flight has ended: ${news.verdict}. `;
   if (news.report) place.append("Report: ", make("code", { textContent: news.report }));
   try {
@@ -76,6 +80,15 @@ async function showEnd(news) {
     }
   } catch { /* the server has left: the path remains */ }
   place.append(". Fly again: ", make("code", { textContent: news.again }));
+}
+
+// A fault and what was found of it, as in the report.
+function resultRow(one) {
+  const acted = `${one.target}, ${one.start_s.toFixed(2)} to ${one.end_s === null ? "the end" : one.end_s.toFixed(2)} s, ${one.frames} frames`;
+  const found = [one.delay_s === null ? "not detected" : `detected after ${one.delay_s.toFixed(2)} s`, ...one.isolated.length ? [`isolated: ${one.isolated.join(", ")}`] : [], ...one.remarks];
+  const lines = [acted, found.join("; ")].map((textContent) => make("span", { className: "what note", textContent }));
+  return make("li", { className: one.verdict === "isolated" ? "done" : "active" },
+    make("span", {}, make("b", { textContent: one.id }), " ", make("span", { className: "state", textContent: one.verdict })), ...lines);
 }
 
 const HANDLERS = {

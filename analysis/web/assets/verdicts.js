@@ -5,9 +5,12 @@
 const WHY_S = 20; // a fault that ended at most this long ago explains the end of an isolation
 const NAMES = { imu: "IMU", baro: "barometer", airspeed: "airspeed", mag: "magnetometer", vision: "vision", range: "rangefinder",
   "gps-position": "GPS position", "gps-velocity": "GPS velocity" };
-const HYPOTHESES = { imu: "IMU", clock: "receiver clock", gps: "GPS position", "multiple-unknown": "several satellites, not isolated" };
+const HYPOTHESES = { imu: "IMU", clock: "receiver clock", gps: "GPS position", "imu-or-mag": "IMU or magnetometer", "multiple-unknown": "several satellites, not isolated" };
 const NO_FAULT = "no fault found", NOT_TESTED = "no fault found, nothing tested now";
-const AGREES = "it is consistent with the others again";
+const AGREES = "it is consistent with the others again", FLIGHT_OVER = "the flight ended";
+
+// The part that a decision on a sensor finds faulty: a motor of the actuators, else the sensor.
+const nameOf = ({ sensor, suspect }) => HYPOTHESES[suspect] || suspect || NAMES[sensor] || sensor;
 
 // The satellites or the sensor that a decision names.
 function partsOf({ hypothesis, excluded }) {
@@ -41,12 +44,12 @@ class Verdicts {
   }
   addDecision(decision) {
     this.decision = decision;
-    this.waiting.push({ detector: "satellites", parts: partsOf(decision), t_us: decision.t_us, tested: false,
+    this.waiting.push({ detector: "epoch", parts: partsOf(decision), t_us: decision.t_us, tested: false,
       isolated: decision.hypothesis !== "multiple-unknown" });
   }
   // Tests have a statistic and report until they pass; stream monitors report only while something is wrong.
   addSensor(decision) {
-    const { sensor, t_us, statistic, alarm, isolated } = decision, part = NAMES[sensor] || sensor;
+    const { sensor, t_us, statistic, alarm, isolated } = decision, part = nameOf(decision);
     const tested = statistic !== null, bad = alarm || isolated;
     this.came_us = Math.max(this.came_us, t_us);
     if (!tested && !bad) return; // without a reference nothing was found, and no isolation ends
@@ -68,7 +71,7 @@ class Verdicts {
   }
   // A verdict that is not repeated stays current for as long as a curve bridges missing samples.
   isCurrent(t_us) { return Math.abs(this.newest_us - t_us) <= GAP_S * 1e6; }
-  isBad(sensor) { return this.isolations.get(NAMES[sensor] || sensor)?.by.has(sensor) ?? false; }
+  isBad(sensor) { return [...this.isolations.values()].some(({ by }) => by.has(sensor)); }
   stateOf(sensor) {
     const decision = this.sensors.get(sensor);
     if (!decision) return "not tested";
@@ -94,7 +97,7 @@ class Verdicts {
   // To be called after each batch: without reports an isolation ends some time after the last detection.
   update() {
     // The monitor's streams come one after the other: in the order of time, and a sensor's finding before the end of one.
-    const order = (a, b) => a.t_us - b.t_us || (a.detector === "satellites") - (b.detector === "satellites");
+    const order = (a, b) => a.t_us - b.t_us || (a.detector === "epoch") - (b.detector === "epoch");
     for (const one of this.waiting.splice(0).sort(order)) this.find(one);
     if (!this.advance()) return;
     for (const entry of this.isolations) {
@@ -107,6 +110,8 @@ class Verdicts {
       if (!by.size) this.end([entry], last_us, `no fault was found in it for ${GAP_S} s`);
     }
   }
+  // The flight is over: what is isolated now has its interval too.
+  finish() { this.end([...this.isolations], this.newest_us, FLIGHT_OVER); }
   end(over, t_us, reason) {
     const since = ([, { from_us, isolated_us }]) => isolated_us ?? from_us;
     for (const [from_us, entries] of Map.groupBy(over, since)) {
@@ -114,7 +119,7 @@ class Verdicts {
       const [from_s, last_s, to_s] = [from_us, last_us, t_us].map((one_us) => store.seconds(one_us));
       for (const part of parts) this.isolations.delete(part);
       const what = entries.some(([, { isolated_us }]) => isolated_us !== null) ? "isolation" : "alarm";
-      this.ended = `${describeFault(parts)} from ${from_s.toFixed(1)} to ${last_s.toFixed(1)} s; ${this.endedFault(from_s, to_s) || reason}`;
+      this.ended = `${describeFault(parts)} from ${from_s.toFixed(1)} to ${last_s.toFixed(1)} s; ${reason !== FLIGHT_OVER && this.endedFault(from_s, to_s) || reason}`;
       addEvent(t_us, `${what} ended: ${this.ended}`, "done");
     }
   }

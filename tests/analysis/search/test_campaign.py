@@ -5,7 +5,7 @@ import argparse
 import numpy as np
 import pytest
 
-from analysis.flying.worker_pool import InProcessPool, LocalWorkerPool
+from analysis.flying.worker_pool import LocalWorkerPool, WorkerPool
 from analysis.search.archive import MIN_DISTANCE, Archive, rms_distance
 from analysis.search.cases import yaml_of_test
 from analysis.search.evaluation.evaluator import EvaluationOutcome
@@ -45,7 +45,7 @@ class Killed(Exception):
 
 
 def test_the_worst_case_has_a_large_fault_and_a_smaller_one_that_still_breaks(tmp_path):
-    cases, totals = run_search(TEST, InProcessPool(), tmp_path)
+    cases, totals = run_search(TEST, WorkerPool(), tmp_path)
     worst = cases[0]
     assert totals.tests == 88
     assert sum(totals.rejected.values()) > 0
@@ -59,7 +59,7 @@ def test_the_worst_case_has_a_large_fault_and_a_smaller_one_that_still_breaks(tm
 
 
 def test_workers_change_nothing(tmp_path):
-    alone = run_search(TEST, InProcessPool(), tmp_path / "a")[0]
+    alone = run_search(TEST, WorkerPool(), tmp_path / "a")[0]
     pool = LocalWorkerPool(2)
     try:
         together = run_search(TEST, pool, tmp_path / "b")[0]
@@ -73,7 +73,7 @@ def test_the_reported_worst_error_never_decreases(tmp_path):
     worst_errors = []
     run_search(
         TEST,
-        InProcessPool(),
+        WorkerPool(),
         tmp_path / "s",
         progress=lambda tests, worst, budget: worst_errors.append(worst),
     )
@@ -81,20 +81,20 @@ def test_the_reported_worst_error_never_decreases(tmp_path):
 
 
 def test_a_killed_search_continues_where_it_was(tmp_path):
-    whole = run_search(TEST, InProcessPool(), tmp_path / "whole")[0]
+    whole = run_search(TEST, WorkerPool(), tmp_path / "whole")[0]
 
     def kill(tests, worst, budget):
         if tests >= 80:
             raise Killed
 
     with pytest.raises(Killed):
-        run_search(TEST, InProcessPool(), tmp_path / "killed", progress=kill)
+        run_search(TEST, WorkerPool(), tmp_path / "killed", progress=kill)
     history = tmp_path / "killed/history.bin"
     found = len(history.read_bytes())
     history.write_bytes(history.read_bytes()[:-5])  # the kill came within a record
     flown = []
 
-    class Counting(InProcessPool):
+    class Counting(WorkerPool):
         def start(self, number, job):
             if job.seed == TEST.seed:
                 flown.append(job.first)
@@ -110,7 +110,7 @@ def test_flights_in_the_simulator_are_saved_in_small_batches(tmp_path):
         estimator="fusion", method="random", budget=40, initial=InitialState(roll_deg=(-9.0, 9.0))
     )
 
-    class Dying(InProcessPool):
+    class Dying(WorkerPool):
         def start(self, number, job):
             self.number, self.job = number, job
 
@@ -128,9 +128,9 @@ def test_flights_in_the_simulator_are_saved_in_small_batches(tmp_path):
 
 
 def test_another_test_is_refused_in_the_same_folder(tmp_path):
-    run_search(TestFile(duration_s=1.0, mission=Mission()), InProcessPool(), tmp_path)
+    run_search(TestFile(duration_s=1.0, mission=Mission()), WorkerPool(), tmp_path)
     with pytest.raises(ConfigError, match="another search"):
-        run_search(TEST, InProcessPool(), tmp_path)
+        run_search(TEST, WorkerPool(), tmp_path)
 
 
 def test_the_command_writes_log_and_files_that_fly_the_cases_again(tmp_path, capsys):
@@ -155,7 +155,7 @@ def test_the_command_writes_log_and_files_that_fly_the_cases_again(tmp_path, cap
     assert "wind" not in text
     assert "sensors." not in text
     case = read_test(out / "worst-01-test.yaml")
-    again, totals = run_search(case, InProcessPool(), tmp_path / "again")
+    again, totals = run_search(case, WorkerPool(), tmp_path / "again")
     assert totals.tests == 1
     first = next(line for line in text.splitlines() if line.startswith("     1 "))
     assert again[0].error_deg == pytest.approx(float(first.split()[2]), rel=0.05)

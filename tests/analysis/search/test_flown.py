@@ -8,7 +8,7 @@ import yaml
 from analysis.campaign.campaign_file import read_campaign
 from analysis.flying.internal_flight import run_simulated_flight
 from analysis.flying.onset import onset_keys
-from analysis.flying.worker_pool import InProcessPool
+from analysis.flying.worker_pool import WorkerPool
 from analysis.run.run_setup import read_setup
 from analysis.scoring.attitude_scoring import AttitudeConfig
 from analysis.search.cases import write_cases
@@ -58,7 +58,7 @@ def test_a_worst_case_is_a_scenario_that_run_flies_to_the_same_error(tmp_path):
         controls=SearchControls(aileron_deg=(-1.0, 1.0)),
         faults=[msgspec.structs.replace(BIAS, value=(-0.02, 0.02), at_s=(0.5, 2.0))],
     )
-    cases, _ = run_search(test, InProcessPool(), tmp_path)
+    cases, _ = run_search(test, WorkerPool(), tmp_path)
     paths = write_cases(tmp_path, test, cases)
     assert [path.name for path in paths] == [
         "worst-01.yaml",
@@ -83,7 +83,7 @@ def test_a_scenario_of_any_kind_is_searched_with_any_fault(tmp_path):
         "vary.start.heading_deg",
         "faults[0].at_s",
     )
-    cases, totals = run_search(test, InProcessPool(), tmp_path / "out")
+    cases, totals = run_search(test, WorkerPool(), tmp_path / "out")
     assert totals.tests == 3
     assert cases[0].error_deg > 0.0
     path = write_cases(tmp_path, test, cases)[0]
@@ -100,7 +100,7 @@ def test_a_scenario_of_any_kind_is_searched_with_any_fault(tmp_path):
 def test_a_worst_case_is_a_test_cell_of_a_campaign(tmp_path):
     (tmp_path / "quad.yaml").write_text(SCENARIO)
     (tmp_path / "search.yaml").write_text(SEARCH)
-    cases, _ = run_search(read_test(tmp_path / "search.yaml"), InProcessPool(), tmp_path / "out")
+    cases, _ = run_search(read_test(tmp_path / "search.yaml"), WorkerPool(), tmp_path / "out")
     write_cases(tmp_path, read_test(tmp_path / "search.yaml"), cases)
     cell = read_campaign(tmp_path / "worst-01-campaign.yaml")
     setup = read_setup(str(tmp_path / "worst-01.yaml"))

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from analysis.web.page_server import PageOptions, serve_page
+from analysis.web.page_server import serve_page
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.schedule.entries import read_schedule
 
@@ -28,7 +28,7 @@ faults:
 
 @pytest.fixture
 def address(loop: Any, tmp_path: Path) -> Iterator[str]:
-    with serve_page(loop.bus.url, port=0, offer=PageOptions(True, tmp_path)) as found:
+    with serve_page(loop.bus.url, port=0, commands=True, sequences=tmp_path) as found:
         yield found
 
 
@@ -165,7 +165,7 @@ def test_without_the_option_commands_are_refused(
 def test_a_folder_of_sequences_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with (
         pytest.raises(ConfigError, match=r"--sequences .*is not a folder"),
-        serve_page("tcp/127.0.0.1:1", port=0, offer=PageOptions(sequences=tmp_path / "none")),
+        serve_page("tcp/127.0.0.1:1", port=0, sequences=tmp_path / "none"),
     ):
         pass
 

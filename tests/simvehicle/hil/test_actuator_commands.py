@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mavproxy_fault.wire.frame import Frame
+from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
 from simvehicle.hil.actuator_commands import ActuatorCommands
 from simvehicle.simulation.vehicle_kinds import VEHICLE_KINDS
@@ -21,7 +21,7 @@ def test_commands_return_unchanged(vehicle: tuple[str, str]) -> None:
     read = kind.read(vehicle[1])
     commands = ActuatorCommands(kind.actuators(read), kind.mix(read))
     assert commands.last_received is None
-    raw = commands.frame(1_000_000, np.array(VALUES[vehicle]))
+    raw = build_frame(*commands.message(1_000_000, np.array(VALUES[vehicle])))
     (frame,) = Parser().push(raw, datagram=True)
     assert isinstance(frame, Frame)
     commands.receive(frame)
