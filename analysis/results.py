@@ -43,6 +43,7 @@ class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, g
     detected. Elevation, azimuth, C/N0 and signals, parallel to `satellites`, and the dilution of
     precision of the satellites in use come with a RINEX recording only, and where precise orbits
     were given `orbit_difference_m`, how far broadcast ephemerides are from these in range.
+    `wrong_ephemerides` says what was found of them, beside any hypothesis.
     """
 
     statistic: float | None = None
@@ -73,6 +74,7 @@ class Decision(Stamped, frozen=True, kw_only=True, tag_field="type", tag=True, g
     cn0_dbhz: tuple[float | None, ...] = ()
     signals: tuple[str, ...] = ()
     orbit_difference_m: dict[str, float] | msgspec.UnsetType = msgspec.UNSET
+    wrong_ephemerides: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
     hdop: float | None = None
     vdop: float | None = None
     hpl_m: float | None = None

@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import Generic, TypeVar
 
-import msgspec
 import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
@@ -31,6 +30,7 @@ from analysis.detection.stages.decision_record import (
 from analysis.detection.stages.ephemeris_fault import (
     try_other_ephemerides,
     with_orbits_compared,
+    with_wrong_ephemerides,
 )
 from analysis.detection.stages.epoch_stages import late_onsets, repair, run_stages
 from analysis.detection.stages.initial_fix import check_against_prior, solve_initial_fix
@@ -219,11 +219,7 @@ class Detector(EventDetector[DetectorState]):
         if tested is None:
             return [untestable_decision(t_us, outcome.reason, core.trust.excluded)], core
         decision = build_decision(epoch, tested, core, bool(onsets), config)
-        if wrong:
-            decision = msgspec.structs.replace(
-                decision, alarm=True, hypothesis="ephemeris", reason=wrong
-            )
-        results: list[Result] = [decision]
+        results: list[Result] = [with_wrong_ephemerides(decision, wrong)]
         results += imu_results(epoch, tested, core.imu, config) + rate_results(epoch, tested)
         if core.motion is not None:
             results += clock_results(core.motion, core.history)

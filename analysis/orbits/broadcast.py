@@ -31,6 +31,7 @@ from mavproxy_fault.numerics.constants import (
     WGS84_GM_M3PS2,
 )
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
+from mavproxy_fault.rinex.gps_clock import BEIDOU_OFFSET_S
 
 # First letters of satellite names: GPS, Galileo, GLONASS, BeiDou, QZSS.
 SYSTEMS = "GERCJ"
@@ -38,7 +39,6 @@ SYSTEMS = "GERCJ"
 # transmits GPS's signal on GPS time [5]_, so the two share a clock.
 CLOCK_OF = {"G": 0, "E": 1, "R": 2, "C": 3, "J": 0}
 CLOCKS = 4
-BEIDOU_TIME_OFFSET_S = 14.0  # BeiDou time minus GPS time is -14 s
 GEOSTATIONARY = (*range(1, 6), *range(59, 64))  # of BeiDou, by satellite number
 B1I_HZ = 1561.098e6
 B3I_HZ = 1268.52e6  # BeiDou's clock reference: no group delay
@@ -86,7 +86,7 @@ def pack_ephemeris(ephemeris: Orbit) -> Vector:
     beidou = ephemeris.satellite[0] == "C"
     still = beidou and int(ephemeris.satellite[1:]) in GEOSTATIONARY
     if beidou:  # convert BeiDou's earth rate and time of week to those of GPS
-        own_s = (ephemeris.toe_s - BEIDOU_TIME_OFFSET_S) % WEEK_S
+        own_s = (ephemeris.toe_s - BEIDOU_OFFSET_S) % WEEK_S
         values["omega0_rad"] += (
             GNSS_EARTH_RATE_RPS * ephemeris.toe_s - BEIDOU_EARTH_RATE_RPS * own_s
         )

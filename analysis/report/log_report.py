@@ -19,7 +19,7 @@ from analysis.report.recordings.flight_sources import read_flight
 from analysis.report.report_files import write_junit
 from analysis.report.run_folder import write_summary
 from mavproxy_fault.documents.atomic_file import write_atomic
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import users_path
 from mavproxy_fault.wire.label import Label
 
 
@@ -40,10 +40,8 @@ def report_flight(
     references = [other.flight.recording for other in others]
     thresholds = read_thresholds(args.criteria)
     outcome = assess_flight(read_flight(paths, labels), thresholds, references)
-    try:
+    with users_path(f"--out {folder}", "give a writable folder"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigError(f"--out {folder}: {error.strerror}; give a writable folder") from error
     write_report(folder, outcome, others, args.data)
     recording = outcome.flight.recording
     # Imported on demand: Matplotlib and Arrow load slowly.

@@ -9,7 +9,7 @@ from typing import Any
 
 from analysis.results import Result, encode_lines
 from mavproxy_fault.documents.atomic_file import replace_file, write_all, write_atomic
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 
 
 def numbered_folder(name: str) -> Path:
@@ -37,10 +37,8 @@ def make_folder(out: str | None, name: str) -> Path:
         free = next(number for number in numbers if not any(Path("runs").glob(f"{number}*")))
         folder = Path("runs") / f"{free}{name}"
         where, cure = str(folder), "give a writable folder with --out"
-    try:
+    with users_path(where, cure):
         folder.mkdir(parents=True, exist_ok=out is not None)
-    except OSError as error:
-        raise ConfigError(f"{where}: {error.strerror}; {cure}") from error
     return folder
 
 

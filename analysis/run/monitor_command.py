@@ -39,7 +39,7 @@ from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.app.replaying.rinex_faults import faulted_lines
 from mavproxy_fault.documents.atomic_file import write_private
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 from mavproxy_fault.links.bus import Bus, open_run_bus
 from mavproxy_fault.links.spec import open_link
 from mavproxy_fault.schedule.entries import read_schedule
@@ -172,7 +172,8 @@ def calibrate_to(path: Path, args: argparse.Namespace, config: MonitorConfig) ->
         raise ConfigError(
             "--calibrate: fewer than 20 epochs can be solved; give a longer recording"
         )
-    write_sigma(path, found)
+    with users_path(f"--calibrate {path}", "give a file that can be written"):
+        write_sigma(path, found)
     text = f"{path}: {found.describe()}; use it with --sigma {path}"
     print_result(args, {"file": path, "fit": found}, text)
     return 0

@@ -52,6 +52,8 @@ def alarms_of(result: Result) -> list[Alarm]:
     channel = "gps-position" if result.mode.startswith("position") else "satellites"
     # Exclusions last beyond their alarm: each epoch reports them again.
     alarms = [Alarm(result.t_us, channel, name, True) for name in result.excluded]
+    if result.wrong_ephemerides:
+        alarms.append(Alarm(result.t_us, channel, "ephemeris", False))
     if not result.alarm:
         return alarms
     if result.hypothesis == "imu":
@@ -60,7 +62,7 @@ def alarms_of(result: Result) -> list[Alarm]:
         alarms.append(Alarm(result.t_us, channel, "clock", True))
     elif result.hypothesis == "gps" and "GPS" not in result.excluded:  # all its ranges together
         alarms.append(Alarm(result.t_us, channel, "GPS", True))
-    elif OR_SEPARATOR in result.hypothesis or result.hypothesis == "ephemeris":
+    elif OR_SEPARATOR in result.hypothesis:
         alarms.append(Alarm(result.t_us, channel, result.hypothesis, False))
     # An exclusion explains the alarm; without one the alarm has no name.
     elif not alarms or result.hypothesis == "multiple-unknown":

@@ -112,8 +112,7 @@ class Tally:
             self.untestable[result.reason] += 1
         if result.hypothesis == "multiple-unknown":
             self.unexplained[result.reason or TOO_MANY] += 1
-        if result.hypothesis == "ephemeris":
-            self._wrong_ephemerides.append(result.reason)
+        self._wrong_ephemerides += result.wrong_ephemerides or ()
         for name, off_m in (result.orbit_difference_m or {}).items():
             self._orbit_difference_m[name] = max(
                 self._orbit_difference_m.get(name, 0.0), off_m, key=abs

@@ -7,7 +7,7 @@ from pathlib import Path
 from string import Template
 
 from mavproxy_fault.app.command_result import print_result
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 
 NAME = re.compile("[a-z][a-z0-9]*(-[a-z0-9]+)*")  # also a name in schedules and result files
 
@@ -31,10 +31,8 @@ def main(args: argparse.Namespace) -> int:
     written[f"test_{kind}.py"] = f"test_{module}.py"
     if kind == "estimator":
         written |= {"scenario.yaml": "scenario.yaml", "campaign.yaml": "campaign.yaml"}
-    try:
+    with users_path(f"new {kind}: {folder}", "give --out DIR"):
         folder.mkdir(parents=True)
-    except OSError as error:
-        raise ConfigError(f"new {kind}: {folder}: {error.strerror}; give --out DIR") from None
     for template, path in written.items():
         text = Template((templates / f"{template}.txt").read_text("utf-8"))
         made = text.substitute(kind=kind, name=name, module=module, cls=cls)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.running_proxy import join_run, query_run
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import users_path
 from mavproxy_fault.documents.yaml_document import read_document
 from mavproxy_fault.schedule.entries import parse_schedule
 
@@ -42,7 +42,5 @@ def _save(text: str, file: str | None) -> None:
     if file is None:
         print(text, end="")
         return
-    try:
+    with users_path(file, "give another file"):
         Path(file).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{file}: {error.strerror}; give another file") from None

@@ -4,7 +4,7 @@ import re
 import zlib
 from pathlib import Path
 
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 from mavproxy_fault.documents.extras import import_extra
 
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
@@ -27,10 +27,8 @@ def read_rinex_text(path: Path) -> list[str]:
 
 def read_lines(path: Path) -> list[str]:
     """Read the lines of a text file, decompressed if necessary; ConfigError if that fails."""
-    try:
+    with users_path(path, "give a RINEX file"):
         data = path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; give a RINEX file") from error
     if path.name.lower().endswith(PACKED) or b"CRINEX" in data[:80]:
         data = _decompressed(data, path)
     return data.removeprefix(BYTE_ORDER_MARK).decode("ascii", "replace").splitlines()

@@ -5,6 +5,8 @@ of them. If its range fits then, the ephemeris is not used again, and the satell
 Where precise orbits are known, every broadcast ephemeris is compared with these.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 from msgspec.structs import replace
 
@@ -28,19 +30,19 @@ def try_other_ephemerides(
     outcome: EpochOutcome,
     history: tuple[EpochRecord, ...],
     config: DetectorConfig,
-) -> tuple[EpochRecord, EpochOutcome, str]:
+) -> tuple[EpochRecord, EpochOutcome, tuple[str, ...]]:
     """The epoch's record and outcome with other ephemerides, where these clear an isolated
-    satellite, and what was wrong; both unchanged and "" where they do not."""
+    satellite, and what was wrong; both unchanged and nothing where they do not."""
     known, faulty = record.core.broadcast, _isolated(outcome)
     if not faulty or known.selection is None:
-        return record, outcome, ""
+        return record, outcome, ()
     used = zip(known.selection.names, known.selection.used, strict=True)
     wrong = {name: ephemeris for name, ephemeris in used if name in faulty}
     broadcast = known._replace(wrong=known.wrong.union(wrong.values()), selection=None)
     places = [i for i, name in enumerate(epoch.satellites) if name in faulty]
     observation, _ = observe(epoch.select(places), broadcast, config.systems)
     if observation is None:
-        return record, outcome, ""
+        return record, outcome, ()
     own = record.observation.select(np.isin(record.observation.satellites, observation.satellites))
     ours, theirs = (_ranges_m(o, record.core, config) for o in (own, observation))
     doubtful = {
@@ -49,7 +51,7 @@ def try_other_ephemerides(
         if abs(ours[name][0] - theirs[name][0]) > CONTRADICTING_SIGMAS * ours[name][1]
     }
     if not doubtful:
-        return record, outcome, ""
+        return record, outcome, ()
     observation, broadcast = observe(epoch, broadcast, config.systems)
     assert observation is not None
     again = record._replace(core=record.core._replace(broadcast=broadcast), observation=observation)
@@ -57,9 +59,8 @@ def try_other_ephemerides(
     cleared = sorted(doubtful - _isolated(other))
     explained = other.tested is not None and other.tested.verdict.ranges.hypothesis in EXPLAINED
     if not cleared or not explained:
-        return record, outcome, ""
-    texts = (f"{_named(wrong[name])} is wrong: another fits" for name in cleared)
-    return again, other, "; ".join(texts)
+        return record, outcome, ()
+    return again, other, tuple(f"{_named(wrong[name])} is wrong: another fits" for name in cleared)
 
 
 def _named(ephemeris: Orbit) -> str:
@@ -70,14 +71,23 @@ def _named(ephemeris: Orbit) -> str:
 def with_orbits_compared(decision: Decision, selection: EphemerisSelection) -> Decision:
     """The decision with what a new selection found of broadcast ephemerides by precise orbits."""
     off_m = selection.differences_m
-    decision = replace(decision, orbit_difference_m=off_m)
-    if not selection.contradicted:
-        return decision
     texts = (
         f"{_named(e)} is wrong: {abs(off_m[e.satellite]):.0f} m from its precise orbit and clock"
         for e in sorted(selection.contradicted, key=lambda e: e.satellite)
     )
-    return replace(decision, alarm=True, hypothesis="ephemeris", reason="; ".join(texts))
+    return with_wrong_ephemerides(replace(decision, orbit_difference_m=off_m), texts)
+
+
+def with_wrong_ephemerides(decision: Decision, texts: Iterable[str]) -> Decision:
+    """The decision with what is wrong with ephemerides: beside what it isolates already."""
+    if not (found := tuple(texts)):
+        return decision
+    hypothesis = "ephemeris" if decision.hypothesis == "none" else decision.hypothesis
+    reason = "; ".join((*([decision.reason] if decision.reason else []), *found))
+    found = *(decision.wrong_ephemerides or ()), *found
+    return replace(
+        decision, alarm=True, hypothesis=hypothesis, reason=reason, wrong_ephemerides=found
+    )
 
 
 def _isolated(outcome: EpochOutcome) -> set[str]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from analysis.recordings.flight_logs.autopilot_log import Topic
 from analysis.recordings.flight_logs.dataflash import read_dataflash
+from analysis.recordings.gnss.rinex_observations import SAME_CARRIER
 from analysis.recordings.gnss.ubx_log import HEAD, RANGE, SIGNALS, rawx_epoch
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.documents.errors import ConfigError
@@ -38,8 +39,6 @@ RANGE_FIELDS = {
     "cn0_dbhz": "cno",
     "status": "trk",
 }
-# GLONASS channels are within 0.3 % of channel 0; B1I is 0.9 % from L1.
-SAME_CARRIER = 0.004
 SAME_EPOCH_S = 0.02  # receivers measure at multiples of 0.1 s of GPS time, within 1 ms
 
 

@@ -17,13 +17,13 @@ from collections.abc import Iterator, Mapping
 from datetime import date, timedelta
 from pathlib import Path
 
-from analysis.orbits.broadcast import B1I_HZ, BEIDOU_TIME_OFFSET_S
+from analysis.orbits.broadcast import B1I_HZ
 from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ
-from analysis.recordings.gnss.rinex_observations import CodeObservation, epoch_of
+from analysis.recordings.gnss.rinex_observations import SAME_CARRIER, CodeObservation, epoch_of
 from analysis.samples.sample import Epoch
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
-from mavproxy_fault.rinex.gps_clock import leap_seconds
+from mavproxy_fault.rinex.gps_clock import BEIDOU_OFFSET_S, leap_seconds
 
 # By constellation [2]_: letter, number of the first satellite less one, carrier, signal.
 SYSTEMS = {
@@ -40,7 +40,6 @@ TIME_KNOWN, DAY_KNOWN = 1 << 3 | 1 << 14, 1 << 7 | 1 << 15
 MOSCOW_NS = 3 * 3600 * 10**9  # GLONASS days begin at midnight in Moscow
 MOST_SENT_ERROR_NS = 500.0  # of the time of transmission: above it the code is barely locked
 LAST_GLONASS = 24  # larger numbers are channels of satellites that are not identified
-SAME_CARRIER = 0.004  # GLONASS channels are within 0.3 % of channel 0; B1I is 0.9 % from L1
 GPS_DAY_ZERO = date(1980, 1, 6)
 
 
@@ -116,7 +115,7 @@ def _observation(row: Mapping[str, str], at_ns: int) -> CodeObservation | None:
         offset_ns, period_ns = MOSCOW_NS - leap_seconds(today) * 10**9, DAY_NS
         known = bool(state & DAY_KNOWN and state & CODE) and number <= LAST_GLONASS
     elif system == "C":
-        offset_ns = round(BEIDOU_TIME_OFFSET_S * -1e9)
+        offset_ns = round(BEIDOU_OFFSET_S * -1e9)
     elif system == "E":
         known = bool(state & TIME_KNOWN and state & (CODE | GALILEO_CODE))
         if not known and state & SECOND_CODE:

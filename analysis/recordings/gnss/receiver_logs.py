@@ -16,7 +16,7 @@ Contents = tuple[list[Epoch], list[EphemerisSample | IonosphereSample]]
 READERS: dict[str, Callable[[Path], Contents]] = {
     r"\.(ubx|ubx\.gz|ulg)": read_ubx,
     r"\.(sbf|\d\d_)(\.gz)?": read_sbf,
-    r"\.rtcm3?": read_rtcm,
+    r"\.rtcm3?(\.gz)?": read_rtcm,
     r"\.bin": lambda path: (read_dataflash_ranges(path), []),
     r"\.txt": lambda path: (read_gnss_logger(path), []),
 }

@@ -33,6 +33,7 @@ PREFERRED = {
     "J": ("1C", "1E", "1X", "1L", "1S"),  # 1E: C/B, which later satellites send in place of C/A
 }
 CODES_2 = {"1C": "C1", "1P": "P1"}  # of RINEX 2, which does not know BeiDou
+SAME_CARRIER = 0.004  # GLONASS channels are within 0.3 % of channel 0; B1I is 0.9 % from L1
 ABSENT_COLUMN = 1 << 20  # beyond the end of any line
 # Satellite; code in m, Doppler in Hz, C/N0 in dBHz; carrier in Hz (GLONASS: channel 0); signal.
 CodeObservation = tuple[str, tuple[float, float, float], float, str]

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from analysis.recordings.gnss.log_bytes import read_log_bytes
 from analysis.samples.range_epochs import EpochAssembler
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
@@ -17,10 +18,8 @@ def read_rtcm(path: Path) -> tuple[list[Epoch], list[EphemerisSample | Ionospher
     ConfigError
         If the file cannot be read or holds no MSM7 of GPS or Galileo.
     """
-    try:
-        messages = list(split_messages(path.read_bytes()))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from error
+    data = read_log_bytes(path, "a file of RTCM 3")
+    messages = list(split_messages(data))
     # Ephemerides first: they give the week, which ranges lack.
     messages.sort(key=lambda message: message_number(message) not in SYSTEMS)
     samples = EpochAssembler().samples((i, message, None) for i, message in enumerate(messages))

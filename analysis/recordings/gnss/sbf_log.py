@@ -10,9 +10,7 @@ References
    numbers), 4.2.1 (MeasEpoch).
 """
 
-import gzip
 import math
-import zlib
 from binascii import crc_hqx
 from collections.abc import Iterator
 from itertools import groupby
@@ -20,6 +18,7 @@ from pathlib import Path
 from struct import Struct
 from typing import NamedTuple
 
+from analysis.recordings.gnss.log_bytes import read_log_bytes
 from analysis.recordings.gnss.navigation_words import WEEK_S
 from analysis.recordings.gnss.rinex_observations import CodeObservation, carrier_of, epoch_of
 from analysis.recordings.gnss.sbf_orbits import ORBITS, block_number, read_orbit, satellite_name
@@ -60,12 +59,7 @@ def read_sbf(path: Path) -> tuple[list[Epoch], list[EphemerisSample | Ionosphere
     ConfigError
         If the log cannot be read or holds no MeasEpoch.
     """
-    try:
-        data = path.read_bytes()
-        data = gzip.decompress(data) if path.name.lower().endswith(".gz") else data
-    except (EOFError, OSError, zlib.error) as error:
-        raise ConfigError(f"{path}: not a Septentrio log ({error}); give an SBF file") from error
-    blocks = list(_blocks(data))
+    blocks = list(_blocks(read_log_bytes(path, "a Septentrio log")))
     measured = [block[OVERHEAD_BYTES:] for block in blocks if block_number(block) == MEAS_EPOCH]
     if not measured:
         raise ConfigError(

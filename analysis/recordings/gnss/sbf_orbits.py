@@ -12,10 +12,10 @@ References
 
 from collections.abc import Mapping, Sequence
 
-from analysis.orbits.broadcast import BEIDOU_TIME_OFFSET_S
 from analysis.recordings.gnss.navigation_words import WEEK_S, week_near
 from analysis.samples.sample import EphemerisSample, IonosphereSample, StateVector
 from mavproxy_fault.documents.extras import import_extra
+from mavproxy_fault.rinex.gps_clock import BEIDOU_OFFSET_S
 from mavproxy_fault.rtcm.ephemeris_messages import SEMICIRCLE, ephemeris_of
 
 GPS_NAV, GPS_ION, GLO_NAV, GAL_NAV, BDS_NAV, QZS_NAV = 5891, 5893, 4004, 4002, 4081, 4095
@@ -103,7 +103,7 @@ def read_orbit(block: bytes, near_s: float) -> EphemerisSample | IonosphereSampl
         values["group_delay_e5a_s"] = delay_s if delay_s != NOT_KNOWN else 0.0
     elif number == BDS_NAV:
         for key in ("toe_s", "toc_s"):
-            values[key] = (values[key] + BEIDOU_TIME_OFFSET_S) % WEEK_S
+            values[key] = (values[key] + BEIDOU_OFFSET_S) % WEEK_S
     week = week_near(values["toe_s"], near_s)
     if number == GLO_NAV:
         return EphemerisSample(0, _state_vector(name, week, values))

@@ -15,8 +15,6 @@ References
    the receiver.
 """
 
-import gzip
-import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,6 +23,7 @@ import numpy as np
 from analysis.orbits.broadcast import B1I_HZ
 from analysis.orbits.glonass import CENTRE_HZ
 from analysis.recordings.flight_logs.ulog import read_ulog
+from analysis.recordings.gnss.log_bytes import read_log_bytes
 from analysis.recordings.gnss.navigation_words import (
     WEEK_S,
     Subframe,
@@ -81,7 +80,9 @@ def read_ubx(path: Path) -> tuple[list[Epoch], list[Broadcast]]:
         If the log cannot be read or holds no RXM-RAWX.
     """
     payloads: dict[bytes, list[bytes]] = {RAWX: [], SFRBX: []}
-    for kind, payload in _frames(_bytes(path)):
+    dumped = path.name.lower().endswith(ULOG)
+    data = _dumped(path) if dumped else read_log_bytes(path, "a u-blox log")
+    for kind, payload in _frames(data):
         # With a correct checksum a shorter payload is valid: the receiver has no fix.
         if len(payload) >= HEAD_BYTES:
             payloads[kind].append(payload)
@@ -93,16 +94,6 @@ def read_ubx(path: Path) -> tuple[list[Epoch], list[Broadcast]]:
     epochs = [epoch for epoch in found if epoch is not None]
     near_s = epochs[0].t_us * 1e-6 if epochs else 0.0
     return epochs, list(_broadcasts(payloads[SFRBX], near_s))
-
-
-def _bytes(path: Path) -> bytes:
-    if path.name.lower().endswith(ULOG):
-        return _dumped(path)
-    try:
-        data = path.read_bytes()
-        return gzip.decompress(data) if path.name.lower().endswith(".gz") else data
-    except (EOFError, OSError, zlib.error) as error:
-        raise ConfigError(f"{path}: not a u-blox log ({error}); give a .ubx file") from error
 
 
 def _dumped(path: Path) -> bytes:

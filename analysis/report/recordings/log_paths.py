@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 from mavproxy_fault.documents.extras import import_extra
 
 PACKED = (".gz", ".xz", ".zst")
@@ -46,11 +46,8 @@ def log_file(path: Path, folder: Path) -> Path:
     if not path.is_file():
         # A log is read more than once, which a pipe does not allow.
         raise ConfigError(f"{path}: is a pipe or a device; give a file, which can be read twice")
-    try:
-        with path.open("rb") as file:
-            pointer = file.read(len(POINTER)) == POINTER
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; give the path of a log") from error
+    with users_path(path, "give the path of a log"), path.open("rb") as file:
+        pointer = file.read(len(POINTER)) == POINTER
     if pointer:
         raise ConfigError(f"{path}: is a Git LFS pointer, not the log; run git lfs pull first")
     return _unpacked(path, folder) if path.suffix in PACKED else path

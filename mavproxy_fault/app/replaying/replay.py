@@ -19,7 +19,7 @@ from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.app.replaying.playback import LogRecord, LogSource, open_log
 from mavproxy_fault.app.replaying.rinex_faults import is_rinex, replay_rinex
 from mavproxy_fault.documents.atomic_file import replace_file, write_all
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 from mavproxy_fault.faults.plant_fault import SimulatorFault
 from mavproxy_fault.links.descriptors import wait_until_readable
 from mavproxy_fault.links.link import Link
@@ -211,13 +211,9 @@ def main(args: argparse.Namespace) -> int:
         # By file identity, since a link may have another name.
         if out.exists() and out.samefile(path):
             raise ConfigError(f"{out}: is the replayed log itself; give another file")
-        try:
+        with users_path(f"--out {out}", "give a file that can be written"):
             out.parent.mkdir(parents=True, exist_ok=True)
             labels = replay_to_log(playing, tape, out)
-        except OSError as error:
-            raise ConfigError(
-                f"--out {out}: {error.strerror}; give a file that can be written"
-            ) from None
         print_result(args, {"log": out, "labels": labels}, f"{out}\n{labels}")
         return 0
     link = open_link(args.link, bare_udp="udpout")

@@ -12,7 +12,7 @@ import numpy as np
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.recorder import encode_lines
 from mavproxy_fault.documents.atomic_file import write_private
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 from mavproxy_fault.faults.plant_fault import PlantFault
 from mavproxy_fault.faults.satellite import SatelliteFault
 from mavproxy_fault.proxy.engine import Engine
@@ -49,10 +49,11 @@ def replay_rinex(args: argparse.Namespace) -> int:
         raise ConfigError(f"{out}: is the replayed file itself; give another file")
     schedule, navigation = read_schedule(args.schedule), [Path(name) for name in args.nav or ()]
     lines, labels = faulted_lines(path, schedule, navigation)
-    out.parent.mkdir(parents=True, exist_ok=True)
     labels_path = out.with_suffix(out.suffix + ".labels.jsonl")
-    write_private(out, ("\n".join(lines) + "\n").encode("ascii", "replace"))
-    write_private(labels_path, encode_lines(labels))
+    with users_path(f"--out {out}", "give a file that can be written"):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        write_private(out, ("\n".join(lines) + "\n").encode("ascii", "replace"))
+        write_private(labels_path, encode_lines(labels))
     print_result(args, {"log": out, "labels": labels_path}, f"{out}\n{labels_path}")
     for word in never_acted(schedule, {label.id for label in labels}):
         print(f"fault {word} matched no observation", file=sys.stderr)

@@ -43,6 +43,22 @@ def test_the_command_writes_file_and_labels(recording, tmp_path):
     assert [label.frames for label in read_labels(tmp_path / "faulted.21O.labels.jsonl")] == [5]
 
 
+def test_an_output_that_cannot_be_written_is_refused_without_a_traceback(
+    recording, tmp_path, capsys
+):
+    faults, file = tmp_path / "faults.yaml", tmp_path / "file"
+    faults.write_text("faults:\n  - {fault: bias, target: PSEUDORANGE.G19, value: 50, for_s: 5}\n")
+    file.touch()
+    for out in (file / "faulted.21O", tmp_path):  # in a file instead of a folder; a folder
+        command = ["replay", str(recording), "--schedule", str(faults), "--out", str(out)]
+        assert main(command) == 2
+        assert "; give a file that can be written\n" in capsys.readouterr().err
+    navigation = recording.with_suffix(".21P")
+    command = ["monitor", "--rinex", str(recording), str(navigation), "--calibrate"]
+    assert main([*command, str(file / "noise.yaml")]) == 2
+    assert "--calibrate" in capsys.readouterr().err
+
+
 def test_a_fault_on_a_missing_satellite_is_reported(recording, tmp_path, capsys):
     faults, out = tmp_path / "faults.yaml", tmp_path / "faulted.21O"
     faults.write_text(

@@ -15,6 +15,7 @@ from analysis.recordings.gnss.precise_files import precise_samples, read_precise
 from analysis.recordings.gnss.rinex_navigation import read_navigation
 from analysis.results import Decision
 from analysis.samples.sample import EphemerisSample, Epoch, PreciseOrbit, Vector
+from analysis.scoring.alarm_windows import alarms_of
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
@@ -139,6 +140,19 @@ def test_an_ephemeris_far_from_its_precise_orbit_is_named_and_another_satellite_
     assert (decision.hypothesis, decision.alarm) == ("ephemeris", True)
     assert decision.reason.startswith("ephemeris of G28 of 12:00 is wrong: ")
     assert decision.orbit_difference_m == found.differences_m
+
+
+def test_a_wrong_ephemeris_leaves_what_the_epoch_isolates_beside_it(precise):
+    own = known()["G28"]
+    found = select(precise, replace(own, af0_s=own.af0_s + 50.0 / SPEED_OF_LIGHT_MPS))
+    isolated = Decision(t_us=0, hypothesis="imu", alarm=True, reason="the IMU is silent")
+    decision = with_orbits_compared(isolated, found)
+    (wrong,) = decision.wrong_ephemerides
+    assert (decision.hypothesis, decision.reason) == ("imu", f"the IMU is silent; {wrong}")
+    assert {(alarm.name, alarm.isolated) for alarm in alarms_of(decision)} == {
+        ("imu", True),
+        ("ephemeris", False),
+    }
 
 
 def test_a_satellite_is_left_to_its_ephemeris_where_the_tables_end(tmp_path):
