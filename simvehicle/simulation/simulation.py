@@ -216,14 +216,16 @@ class Simulation:
         ConfigError
             If the name is unknown or the value is impossible.
         """
-        self.check_plant(name)
-        if name in SENSORS:
+        if name not in self._plant_names:
+            fitted, state = self._with_satellite_plant(name, value)
+            fitted.state = state
+        elif name in SENSORS:
             self._flight["disturbance"][SENSORS.index(name)] = value or 0.0
         elif name in WIND:
             axis = WIND.index(name)
             healthy = self.scenario.environment.wind_ned_mps[axis]
             self.weather.steady_mps[axis] = healthy if value is None else value
-        elif name in self.vehicle.plant_names:
+        else:
             # Rebuilt from all active faults, so that their order has no effect.
             changed = {k: v for k, v in self._plant.items() if k != name}
             if value is not None:
@@ -233,9 +235,6 @@ class Simulation:
             except ValueError as error:
                 raise ConfigError(f"plant: {name} = {value} is impossible; {error}") from None
             self._plant = changed
-        else:
-            fitted, state = self._with_satellite_plant(name, value)
-            fitted.state = state
 
     def check_plant(self, name: str) -> None:
         """Refuse a plant fault that this simulation does not support; changes nothing.

@@ -106,8 +106,7 @@ def read_flight(paths: Sequence[Path], labels: Sequence[Label]) -> RecordedFligh
         if not labels and (run / LABELS).is_file():
             labels = read_labels(run / LABELS)
         results = _results(run / "results.jsonl")
-        if (summary_file := run / "summary.json").is_file():
-            summary = msgspec.json.decode(summary_file.read_bytes())
+        summary = _summary(run / "summary.json")
     t0_us = labels[0].t0_us if labels else None
     if path.is_dir():
         if not is_run_folder(path):
@@ -167,6 +166,16 @@ def _tlogs(paths: Sequence[Path], t0_us: int | None) -> FlightData:
         size=sum(log.size for log in logs.values()),
         junk_bytes=sum(log.junk_bytes for log in logs.values()),
     )
+
+
+def _summary(path: Path) -> dict[str, Any]:
+    """The summary of a run; empty where it wrote none."""
+    if not path.is_file():
+        return {}
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+    except msgspec.DecodeError as error:
+        raise ConfigError(f"{path}: {error}; remove the file, or run again") from error
 
 
 def _results(path: Path) -> list[Result]:
