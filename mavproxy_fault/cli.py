@@ -10,14 +10,17 @@ import errno
 import logging
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from _thread import interrupt_main
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from importlib import invalidate_caches
 from importlib.util import find_spec
 from io import TextIOWrapper
 from pathlib import Path
 from signal import SIG_IGN, SIGINT, SIGTERM, default_int_handler, getsignal, signal
-from threading import current_thread, main_thread
+from threading import Timer, current_thread, main_thread
+from typing import Any
 
 from mavproxy_fault import __version__
 from mavproxy_fault.app.command_parser import CommandParser, CompletionAction
@@ -57,6 +60,7 @@ exit codes
 `help COMMAND` explains a command; --json prints its result for programs.
 NO_COLOR turns colours off.
 """
+INTERRUPT_AGAIN_S = 0.01  # by then a destructor has returned
 RECORDING_READERS = ("replay", "report", "monitor")  # they know a session's own dialects
 SHELLS = ("bash", "zsh", "fish", "tcsh", "powershell")  # supported by shtab
 HELP_ORDER = (
@@ -151,14 +155,26 @@ def _handle_signals(last: bool) -> Iterator[None]:
     for number in before:
         signal(number, default_int_handler)
     after = dict.fromkeys(before, SIG_IGN) if last else before
+    hook = sys.unraisablehook
+    sys.unraisablehook = partial(_interrupt_again, hook)
     try:
         yield
     except BaseException:
         after = before  # a failure that hangs during clean-up must stay interruptible
         raise
     finally:
+        sys.unraisablehook = hook
         for number, action in after.items():
             signal(number, action)
+
+
+def _interrupt_again(hook: Callable[[Any], object], unraisable: Any) -> None:
+    """Repeat a KeyboardInterrupt that Python ignores in a destructor or a weak reference's
+    callback: the command would go on."""
+    if issubclass(unraisable.exc_type, KeyboardInterrupt):
+        Timer(INTERRUPT_AGAIN_S, interrupt_main).start()
+    else:
+        hook(unraisable)
 
 
 def _take_dialects(given: Sequence[str]) -> list[str]:

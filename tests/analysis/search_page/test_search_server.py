@@ -6,6 +6,8 @@ import subprocess
 import sys
 import time
 import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 TEST = "duration_s: 1\ninitial: {roll_deg: [-30, 30]}\n"
@@ -19,11 +21,17 @@ def fetch(host: str, what: str, token: str = "") -> dict:
         return json.loads(reply.read())
 
 
-def begun(folder: Path) -> subprocess.Popen[str]:
+@contextmanager
+def begun(folder: Path) -> Iterator[subprocess.Popen[str]]:
     (folder / "test.yaml").write_text(TEST)
     command = [sys.executable, "-m", "mavproxy_fault.cli", "search", str(folder / "test.yaml")]
     options = ["--interactive", "--out", str(folder / "found")]
-    return subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
+    with subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        except BaseException:
+            process.kill()  # or its end would be waited for
+            raise
 
 
 def test_ctrl_c_ends_the_page_and_lists_the_saved_files(tmp_path: Path) -> None:
