@@ -76,6 +76,7 @@ SCREENS = ((390, "light"), (1024, "dark"), (1440, "light"))
 def find_barriers() -> Callable[..., list[str]]:
     """What axe-core finds on an open page, in light and dark, and where it scrolls sideways."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    playwright_timeout = pytest.importorskip("playwright.sync_api").TimeoutError
 
     def find(page: Any, screens: tuple[tuple[int, str], ...] = SCREENS) -> list[str]:
         found = []
@@ -85,7 +86,10 @@ def find_barriers() -> Callable[..., list[str]]:
             page.set_viewport_size({"width": width_px, "height": 900})
             page.wait_for_timeout(200)  # the plots take the new width
             where = f"{scheme}, {width_px} px: "
-            if page.evaluate("document.documentElement.scrollWidth > innerWidth"):
+            fits = "document.documentElement.scrollWidth <= innerWidth"
+            try:
+                page.wait_for_function(fits, timeout=10_000)  # on a busy machine it takes longer
+            except playwright_timeout:
                 found.append(where + "scrolls sideways")
             for one in axe.run(page).response["violations"]:
                 found += [f"{where}{one['help']}: {node['html']}" for node in one["nodes"]]

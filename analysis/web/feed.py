@@ -66,6 +66,7 @@ class Feed:
         self._unsent: deque[tuple[str, bytes]] = deque(maxlen=MAX_EVENTS)
         self._viewers: set[Viewer] = set()
         self.report: Path | None = None
+        self.fetched = threading.Semaphore(0)  # released for each request for the report
 
     def add_sample(self, key: str, payload: bytes) -> None:
         """Add one sample; `key` is relative to the run's prefix."""

@@ -28,7 +28,8 @@ from mavproxy_fault.links.bus import DEFAULT_URL, choose_free_port
 from mavproxy_fault.links.open_hint import describe_port_owner
 
 DEFAULT_PORT = 8350
-FETCH_S = 1.0  # chosen: time for the viewers to get a report of some MB over loopback
+NEWS_S = 1.0  # chosen: time for the last message to reach the viewers
+FETCH_S = 10.0  # chosen: at most until each has the report; on a busy machine it takes seconds
 MAX_VIEWER_MESSAGE = 16_384  # bytes of one message from a viewer, a list of names
 
 
@@ -199,9 +200,11 @@ def announce_end(feed: Feed, folder: Path) -> None:
             "vehicle": found and describe_vehicle(found),
             "faults": [{**row, "remarks": fault_remarks(row)} for row in summary.get("faults", ())],
         }
-        feed.announce_end(end, report.resolve() if report.is_file() else None)
-        # Without a viewer there is nothing to wait for.
-        time.sleep(FETCH_S if feed.viewers else 0.0)
+        written = report.is_file()
+        feed.announce_end(end, report.resolve() if written else None)
+        until_s = time.monotonic() + (FETCH_S if written else NEWS_S)
+        for _ in range(feed.viewers):
+            feed.fetched.acquire(timeout=max(until_s - time.monotonic(), 0.0))
 
 
 def main(args: argparse.Namespace) -> int:

@@ -86,6 +86,7 @@ class LivePage:
             await asyncio.sleep(TICK_S * (1 + self._feed.viewers // VIEWERS_PER_TICK))
 
     async def _report(self, request: Request) -> Response:
+        self._feed.fetched.release()
         return file_answer(self._feed.report)
 
     async def _catalogue(self, request: Request) -> Response:
