@@ -38,6 +38,8 @@ VEHICLE_KINDS = {1: "fixedwing"} | dict.fromkeys(
     (2, 3, 4, 13, 14, 15), "multirotor"
 )  # by MAV_TYPE_
 REST_S = 2.0  # on the ground, so that what hit it with its motors off is recorded to its end
+# After an upload and at each change of mode PX4 reads the items of a mission, for about a second.
+READING_US = 3_000_000
 GROUNDED_LIMIT_S = 30.0  # on the ground with motors on: the vehicle has crashed
 
 
@@ -97,6 +99,12 @@ class Operator:
     def finished(self) -> bool:
         """Whether the flight has landed or failed."""
         return self.phase is Phase.LANDED or bool(self.failure)
+
+    @property
+    def transfers_mission(self) -> bool:
+        """Whether the autopilot stores or reads a mission."""
+        reads = self._t_us - self._phase_since_us < READING_US
+        return self._commands.has_mission and (reads or self.phase is Phase.UPLOADING)
 
     def receive(self, frame: Frame) -> None:
         """Read a frame of the autopilot."""
@@ -189,7 +197,7 @@ class Operator:
                 settled = since_us is not None and self._t_us - since_us >= POSITION_SETTLED_US
                 return settled and self._started
             case Phase.UPLOADING:
-                return self._uploaded or not self._plan.waypoints
+                return self._uploaded or not self._commands.has_mission
             case Phase.ARMING:
                 return self._armed
             case Phase.CLIMBING:
@@ -230,7 +238,7 @@ class Operator:
         """Send the command of this phase."""
         plan, commands = self._plan, self._commands
         if self.phase is Phase.UPLOADING:
-            commands.upload(plan.waypoints)
+            commands.upload()
         elif self.phase is Phase.ARMING:
             commands.arm()
         elif self.phase is Phase.CLIMBING and self._height_m < TAKEN_OFF_M:

@@ -24,7 +24,12 @@ PLANE_PARAMETERS = {  # for a plane that is faster than PX4's default airframe
     "TRIM_PITCH": 0,
     "RWTO_ROT_AIRSPD": 22,
     "NAV_LOITER_RAD": 150,
-    "FW_LND_USETER": 0,  # the mission gives the ground height, with or without a range finder
+    # Without a range finder the height may be wrong by 2 m at the end of a flight: from the default
+    # flare of 0.5 m PX4 would be on the ground before it closes the throttle.
+    "FW_LND_USETER": 0,
+    "FW_LND_FLALT": 2.5,
+    "FW_LND_FL_SINK": 0.6,  # ends the flare before the plane is slow
+    "FW_LND_FL_PMIN": 7,  # above the pitch of the approach: PX4's height control is slower
 }
 # The messages that PX4 sends in a run, and how often.
 STREAMS_HZ = {

@@ -43,7 +43,8 @@ def commands(frames):
 
 
 def operator(plan):
-    return Operator(plan, OperatorCommands(ardupilot_process.MODES["multirotor"]))
+    modes = ardupilot_process.MODES["multirotor"]
+    return Operator(plan, OperatorCommands(modes, plan.waypoints))
 
 
 class Autopilot:
