@@ -332,7 +332,7 @@ class AutopilotRun:
         """Return the operator's frames and write the logs when due; called before each step."""
         self._session.serve()
         t_us = self._flight.vehicle_us
-        self._pacer.wait_for_pace(t_us, careful=self._operator.transfers_mission)
+        self._pacer.wait_for_pace(t_us, careful=self._operator.needs_time)
         frames: list[bytes] = []
         if t_us >= self._operator_us:
             self._operator_us = t_us + OPERATOR_PERIOD_US

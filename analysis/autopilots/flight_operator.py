@@ -40,6 +40,9 @@ VEHICLE_KINDS = {1: "fixedwing"} | dict.fromkeys(
 REST_S = 2.0  # on the ground, so that what hit it with its motors off is recorded to its end
 # After an upload and at each change of mode PX4 reads the items of a mission, for about a second.
 READING_US = 3_000_000
+# Without a frame for ten of PX4's heartbeats its threads of low priority do not run, nor does it
+# read ours: after 10 s it would return for want of a ground station.
+SILENT_US = 1_000_000
 GROUNDED_LIMIT_S = 30.0  # on the ground with motors on: the vehicle has crashed
 
 
@@ -86,6 +89,7 @@ class Operator:
         self.failure = ""
         self._plan, self._commands = plan, commands
         self._t_us = self._phase_since_us = self._retry_us = self._heartbeat_us = 0
+        self._heard_us = 0  # when the last frame was received
         self._position_since_us: int | None = None  # start of the position estimate
         self._armed = self._uploaded = self._started = False
         self._height_m = self._steady_height_m = 0.0
@@ -101,14 +105,16 @@ class Operator:
         return self.phase is Phase.LANDED or bool(self.failure)
 
     @property
-    def transfers_mission(self) -> bool:
-        """Whether the autopilot stores or reads a mission."""
-        reads = self._t_us - self._phase_since_us < READING_US
-        return self._commands.has_mission and (reads or self.phase is Phase.UPLOADING)
+    def needs_time(self) -> bool:
+        """Whether the autopilot stores or reads a mission, or falls behind with its telemetry."""
+        reads = self.phase is Phase.UPLOADING or self._t_us - self._phase_since_us < READING_US
+        late = self._t_us - self._heard_us > SILENT_US
+        return late or (self._commands.has_mission and reads)
 
     def receive(self, frame: Frame) -> None:
         """Read a frame of the autopilot."""
         self._commands.receive(frame)
+        self._heard_us = self._t_us
         name = frame.layout.name
         if name == "HEARTBEAT" and frame.component == 1:
             self._armed = bool(int(frame.number("base_mode")) & ARMED_FLAG)
