@@ -4,9 +4,7 @@ import math
 from collections.abc import Mapping
 
 import msgspec
-import numpy as np
 
-from simvehicle.vehicles.contact_kernel import Gear, make_gear
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
 from simvehicle.vehicles.parameter_file import (
     ParameterSection,
@@ -114,11 +112,6 @@ class FixedWingParameters(VehicleParameters, frozen=True):
         if (self.thrust_law is None) == (self.motor is None):
             raise ValueError("exactly one of thrust_law and motor is needed")
         super().__post_init__()
-
-
-def wheel_gear(parameters: FixedWingParameters) -> Gear:
-    """Gear with wheels: low friction along the body, high friction across it."""
-    return make_gear(np.array(parameters.gear_m), parameters.mass_kg, along=0.05, across=0.8)
 
 
 def aero_coefficients(parameters: FixedWingParameters, plant: Mapping[str, float]) -> Aero:
