@@ -7,7 +7,6 @@ without the fault.
 import math
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
 
 from analysis.campaign.cell import Cell, CellResult
@@ -19,6 +18,7 @@ from analysis.flying.flight_evidence import (
     EvidenceCurve,
 )
 from analysis.scoring.vehicle_outcome import FLEW_AWAY, UNAFFECTED, VEHICLE_OUTCOMES, VehicleEvent
+from mavproxy_fault.documents.document_check import Section
 from mavproxy_fault.numerics.arrays import Array
 
 LOST = "lost"  # of an estimate, while the vehicle may be well, and of a flight that ended early
@@ -29,7 +29,7 @@ ABORTED = "aborted"  # the flight failed to run, which says nothing about the su
 SAME_EVENT_S = 1.0  # marks this close are one event: a period of HEARTBEAT, which has the mode
 
 
-class OutcomeLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class OutcomeLimits(Section, frozen=True):
     """Limits of the excursions.
 
     Beyond `attitude_deg` or `position_m` a flight is degraded. Beyond `lost_deg` or `lost_m` an
