@@ -198,8 +198,7 @@ class ProfiledLinkFault(RuleLinkFault, frozen=True, kw_only=True):
 
     def fed(self, state: Any, value: float, t_us: int) -> Any:
         """Return the state after a live value that arrived at `t_us`."""
-        t_s = (t_us - state.start_us) / 1e6
-        state.profile = hold_live_value(state.profile, t_s, value)
+        state.profile = hold_live_value(state.profile, state.start_us, t_us, value)
         return state
 
 
