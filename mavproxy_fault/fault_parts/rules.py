@@ -136,7 +136,7 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
         if self.effect == "delay":
             return [] if number == LOST else [delayed(frame, t_us, number)]
         if self.effect == "copies":
-            span_us = int(p[2])  # spread evenly
+            span_us = int(p[3])  # spread evenly
             copies = [delayed(frame, t_us, span_us * (n + 1) // number) for n in range(number)]
             return [Outgoing(t_us, frame), *copies]
         if not number:
