@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.rinex.gps_clock import normalized
 from mavproxy_fault.rtcm.ephemeris_messages import encode_ephemeris
 from mavproxy_fault.wire.plant_names import GROUPS, SATELLITE, SPOOF
@@ -37,8 +38,6 @@ from simvehicle.gnss.tracking import (
 )
 from simvehicle.sensors.readings import EphemerisReading, GpsReading, PseudorangeReading, Reading
 from simvehicle.vehicles.body import Truth
-
-Vector = NDArray[np.float64]
 
 S_PER_US = 1e-6
 BROADCAST_US = 30_000_000  # interval at which an ephemeris is repeated, as in the GPS message
@@ -70,7 +69,7 @@ class GnssSensor:
         return Atmosphere(coefficients, self.config.troposphere)
 
     @cached_property
-    def _levels(self) -> Vector:
+    def _levels(self) -> Array:
         """Sizes of the errors, in the order of `simulate_signals`."""
         c = self.config
         rise = c.cn0_zenith_dbhz - c.cn0_horizon_dbhz
@@ -78,7 +77,7 @@ class GnssSensor:
         return np.array([c.cn0_horizon_dbhz, rise, c.cn0_sigma_db, *sizes])
 
     @cached_property
-    def _wander_s(self) -> Vector:
+    def _wander_s(self) -> Array:
         """Correlation times (3, 1) of multipath, orbit and C/N0."""
         return np.array([[self.config.multipath_s], [self.config.orbit_s], [CN0_CORRELATION_S]])
 
@@ -186,8 +185,8 @@ class GnssSensor:
         return replace(state, faults=replace(faults, **{field: changed}))
 
     def _signals(
-        self, truth: Truth, tow_s: float, state: GnssState, noise: Vector, step_s: float
-    ) -> Vector:
+        self, truth: Truth, tow_s: float, state: GnssState, noise: Array, step_s: float
+    ) -> Array:
         """The signals at the antenna when the receiver's clock shows `tow_s`, as rows (4, n).
 
         A spoofed signal is replaced by that of the spoofed position and time.
@@ -202,7 +201,7 @@ class GnssSensor:
                 out[RATE, own] = spoofed[RATE, own] + spoof.offset_mps[DELAY]
         return out
 
-    def _received(self, where: Vector, tow_s: float, state: GnssState, noise: Vector) -> Vector:
+    def _received(self, where: Array, tow_s: float, state: GnssState, noise: Array) -> Array:
         """The signals at a position: latitude, longitude, height and velocity NED (6,)."""
         return simulate_signals(
             state.broadcast.orbits.table,
@@ -251,7 +250,7 @@ class GnssSensor:
         )
 
     def _tracking(
-        self, elevation_rad: Vector, cn0_dbhz: Vector, state: GnssState, t_us: int
+        self, elevation_rad: Array, cn0_dbhz: Array, state: GnssState, t_us: int
     ) -> Tracking:
         """The receiver's tracking of the signals above the elevation mask and C/N0 threshold."""
         receiver = self.config.receiver
@@ -284,9 +283,9 @@ class GnssSensor:
         t_us: int,
         tow_s: float,
         pick: NDArray[np.intp],
-        code: Vector,
-        rate: Vector,
-        cn0: Vector,
+        code: Array,
+        rate: Array,
+        cn0: Array,
     ) -> PseudorangeReading:
         return PseudorangeReading(
             t_us,

@@ -4,12 +4,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from simvehicle.gnss.receiver import NO_FIX, ReceiverFix
 from simvehicle.gnss.satellite_orbits import Orbits
 from simvehicle.gnss.signal_errors import ReceiverClock
 from simvehicle.gnss.tracking import Stamps, Tracking
-
-Vector = NDArray[np.float64]
 
 
 class SignalFaults(msgspec.Struct, frozen=True):
@@ -20,8 +19,8 @@ class SignalFaults(msgspec.Struct, frozen=True):
     offset north, east and down and the spoofed delay [m]. `off` is not 0 while the receiver is off.
     """
 
-    signals: Vector
-    spoof: Vector
+    signals: Array
+    spoof: Array
     off: float = 0.0
 
 
@@ -47,12 +46,12 @@ class GnssState(msgspec.Struct, frozen=True):
 
     t_us: int | None
     clock: ReceiverClock
-    wander: Vector
-    search_s: Vector
-    message_s: Vector
+    wander: Array
+    search_s: Array
+    message_s: Array
     broadcast: Broadcast
     tracking: Tracking
     sent_us: Stamps
     faults: SignalFaults
-    last_spoof: Vector
+    last_spoof: Array
     fix: ReceiverFix = NO_FIX
