@@ -138,6 +138,7 @@ NOT_RUN = {
     r"--rinex|rover\.obs|\.ulg": "needs a recording of the reader's",
     r"estimators-1|monitor-1|campaign_compiled": "takes minutes",
     r"campaign_estimators.yaml($| --out)|search .*_search.yaml$": "takes minutes",
+    r"found": "takes a minute: tests/analysis/search searches less, and flies what it finds",
     r"examples/fusion.yaml$": "flown by tests/analysis/run/test_examples_fly.py",
     r"worst-01-campaign|--first$": "flies a search of the reader's, as tests/analysis/search does",
 }
@@ -196,7 +197,7 @@ def readers_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.timeout(600)  # a search and some flights
+@pytest.mark.timeout(600)  # some flights, on a busy machine
 @pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.stem)
 def test_the_indented_commands_of_a_page_run_as_printed(
     page: Path, readers_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

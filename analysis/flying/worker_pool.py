@@ -18,10 +18,11 @@ from pebble import ProcessExpired, ProcessPool
 
 from analysis.processes import spawn_context
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.code_cache import IDLE_S, compiled_last_s
+from mavproxy_fault.numerics.code_cache import compiled_last_s
 
 QUEUED_PER_WORKER = 2  # so that no worker is idle
 POLL_S = 0.25
+COMPILING_S = 600.0  # chosen: for one function, which takes minutes on a busy machine
 
 
 class Job(Protocol):
@@ -108,7 +109,7 @@ class LocalWorkerPool(WorkerPool):
             if self._limit_s is not None and now_s - begun_s > self._limit_s:
                 compiled_s = compiled_last_s()
                 # One function may take longer to compile than a flight may last.
-                if compiled_s < begun_s or now_s - compiled_s > max(self._limit_s, IDLE_S):
+                if compiled_s < begun_s or now_s - compiled_s > max(self._limit_s, COMPILING_S):
                     future.cancel()
 
     def close(self) -> None:

@@ -33,7 +33,6 @@ IMPORTED = re.compile(
 SILENT = re.compile(rb'^[ \t]*(?:#.*|"""(?=[A-Z`])(?s:.*?)""")?\n', re.MULTILINE)
 DAY_S = 86_400.0
 PROGRESS = "progress"  # the file that is touched when a function begins to be compiled
-IDLE_S = 60.0  # longer than any function takes to compile
 STALE_S = 7 * DAY_S  # unused for a week: an update's, or an edit's
 
 

@@ -24,7 +24,7 @@ from numba.core.types import Dispatcher
 
 from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.numerics.baseline import BASELINE
-from mavproxy_fault.numerics.code_cache import IDLE_S, PROGRESS, alone, kernels, module_folders
+from mavproxy_fault.numerics.code_cache import PROGRESS, alone, kernels, module_folders
 
 LOG = logging.getLogger(__name__)
 
@@ -37,6 +37,7 @@ LEVEL = type(config.OPT)(1)
 _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 REPORT_PERIOD_S = 2.0  # most functions take less: no silence of more than 5 s
+IDLE_S = 60.0  # longer than any function takes
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -65,7 +65,8 @@ def test_nobody_is_kept_from_the_page(
     folder: Path, browser: Any, find_barriers: Callable[[Any], list[str]]
 ) -> None:
     campaign = read_campaign(folder / "small.yaml")
-    result = CellResult(Cell("mahony", "short.yaml", "gyro", 2.0, 2.0, 2.0), "lost")
+    cell = Cell(subject="mahony", scenario="short.yaml", fault="gyro", magnitude=2.0)
+    result = CellResult(cell=cell, outcome="lost")
     (row,) = outcome_grid([result], campaign)
     (folder / "rows").mkdir()
     rows = {"fmea": [fmea_row(campaign, row, row.cells[0], folder)], "requirements": []}
