@@ -16,6 +16,7 @@ from analysis.detection.detector_state import (
 from analysis.detection.filter.ephemerides import BroadcastData, unusable_reason
 from analysis.detection.filter.measurement import EpochObservation
 from analysis.detection.filter.propagation import add_pending, split_pending, update_interval_s
+from analysis.detection.filter.two_frequencies import compare_ranges
 from analysis.detection.isolation.epoch_memory import NOTHING_FROZEN
 from analysis.detection.isolation.exclusion import Exclusions, add_exclusions
 from analysis.detection.isolation.trust import CONFIRMING_EPOCHS, LEAST_START_DOF
@@ -132,7 +133,7 @@ class Detector(EventDetector[DetectorState]):
     ) -> tuple[list[Result], DetectorCore, ImuRun]:
         """The decisions on an epoch, the core after it, and the IMU's samples still pending."""
         before, excluded = core, core.trust.excluded
-        observation, broadcast = observe(epoch, core.broadcast, self.config.systems)
+        observation, broadcast = observe(epoch, core.broadcast, self.config)
         core = core._replace(broadcast=broadcast)
         if observation is None:
             reason = unusable_reason(epoch, broadcast.ephemerides)
@@ -146,7 +147,15 @@ class Detector(EventDetector[DetectorState]):
             return *self._start(epoch, observation, core), pending
         interval_s = update_interval_s(core.imu.interval_s, run)
         core = core._replace(imu=core.imu._replace(mag_b=mag_b, interval_s=interval_s))
-        return *self._run_stages(epoch, observation, run, core), pending
+        assert core.motion is not None
+        found, differences = compare_ranges(
+            epoch, observation, core.motion, core.differences, broadcast.ionosphere, self.config
+        )
+        names = tuple(one.suspect for one in found if one.isolated)
+        excluded = add_exclusions(excluded, names, epoch.t_us, epoch.t_us)
+        core = core._replace(trust=core.trust._replace(excluded=excluded), differences=differences)
+        results, core = self._run_stages(epoch, observation, run, core)
+        return [*results, *found], core, pending
 
     def _continue(self, core: DetectorCore, t_us: int) -> tuple[DetectorCore, str]:
         """The core at an epoch, reset where a gap or a jump of time demands it; or why the epoch

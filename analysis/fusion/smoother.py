@@ -8,12 +8,11 @@ import numpy as np
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore
-from analysis.detection.filter.ephemerides import select_ephemerides
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import X_ISB
-from analysis.detection.filter.measurement import observe_epoch
 from analysis.detection.filter.process_noise import ProcessNoise
 from analysis.detection.filter.propagation import ImuSegment
+from analysis.detection.stages.observe import observe
 from analysis.fusion.factors.factor_weights import (
     faulty_rates,
     isolated_sensors,
@@ -235,13 +234,9 @@ class Fusion:
         self, graph: Graph, now: FusionEpoch, state: FusionState
     ) -> dict[str, float]:
         """Attach the epoch's ranges; returns the weights of those used."""
-        if (
-            not isinstance(now.sample, Epoch)
-            or now.motion is None
-            or now.core.broadcast.selection is None
-        ):
+        if not isinstance(now.sample, Epoch) or now.motion is None:
             return {}
-        observation = observe_epoch(now.sample, now.core.broadcast.selection)
+        observation, _ = observe(now.sample, now.core.broadcast, self.detector)
         if observation is None:
             return {}
         core, config, decision, noise = now.core, self.config, now.decision, state.noise
@@ -285,8 +280,7 @@ class Fusion:
     ) -> None:
         """Attach late ranges: the detector cannot test them, so their residuals give the
         weights."""
-        chosen = select_ephemerides(sample, core.broadcast.ephemerides, self.detector.systems)
-        observation = observe_epoch(sample, chosen)
+        observation, _ = observe(sample, core.broadcast, self.detector)
         if observation is None or core.motion is None:
             return
         node = graph.insert_late(sample.t_us)

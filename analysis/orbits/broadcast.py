@@ -32,6 +32,7 @@ from mavproxy_fault.numerics.constants import (
 )
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from mavproxy_fault.rinex.gps_clock import BEIDOU_OFFSET_S
+from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 # First letters of satellite names: GPS, Galileo, GLONASS, BeiDou, QZSS.
 SYSTEMS = "GERCJ"
@@ -41,6 +42,7 @@ CLOCK_OF = {"G": 0, "E": 1, "R": 2, "C": 3, "J": 0}
 CLOCKS = 4
 GEOSTATIONARY = (*range(1, 6), *range(59, 64))  # of BeiDou, by satellite number
 B1I_HZ = 1561.098e6
+E5A_HZ = 1176.45e6
 B3I_HZ = 1268.52e6  # BeiDou's clock reference: no group delay
 WEEK_S = 604_800.0
 
@@ -57,7 +59,7 @@ _FIELDS = (*_CLOCK_FIELDS, *_ORBIT_FIELDS, *_RATE_FIELDS, *_WAVE_FIELDS, "group_
 (MU, WEEK) = range(2)
 (TOE, TOC, AF0, AF1, AF2) = range(2, 7)
 (SQRT_A, ECCENTRICITY, I0, OMEGA0, OMEGA, M0, DELTA_N, OMEGA_DOT, IDOT) = range(7, 16)
-(CRS, CRC, CUS, CUC, CIS, CIC, GROUP_DELAY, KIND, IONOSPHERE, PACKED) = range(16, 26)
+(CRS, CRC, CUS, CUC, CIS, CIC, GROUP_DELAY, KIND, IONOSPHERE, NOISE, PACKED) = range(16, 27)
 VECTOR = SQRT_A  # of a GLONASS state vector (9), or of a polynomial (15)
 ELEMENTS, GEOSTATIONARY_ORBIT, STATE_VECTOR, POLYNOMIAL = 0.0, 1.0, 2.0, 3.0  # kinds of orbit
 # Columns of `satellite_states`.
@@ -68,18 +70,21 @@ RANGE, RATE, LINE_OF_SIGHT, ELEVATION, AZIMUTH, DELAY, PREDICTED = 0, 1, 2, 5, 6
 
 
 def pack_ephemeris(ephemeris: Orbit) -> Vector:
-    """Pack one ephemeris as an array (25,): mu, week, `_FIELDS` in order, the kind of orbit (0
+    """Pack one ephemeris as an array (26,): mu, week, `_FIELDS` in order, the kind of orbit (0
     Kepler elements, 1 those of a geostationary satellite, 2 a state vector, 3 a polynomial in
-    place of the elements), and the ratio of the ionospheric delay to that on L1."""
+    place of the elements), the ratio of the ionospheric delay to that on L1, and that of the
+    range's variance to one of a single frequency."""
     if isinstance(ephemeris, PreciseOrbit):
         e = ephemeris
         clock = e.toe_s, e.toe_s, e.af0_s, e.af1, 0.0
-        return np.array([0.0, e.week, *clock, *e.terms, e.group_delay_s, POLYNOMIAL, 1.0])
+        return np.array([0.0, e.week, *clock, *e.terms, e.group_delay_s, POLYNOMIAL, 1.0, 1.0])
     if isinstance(ephemeris, StateVector):
         clock = ephemeris.toe_s, ephemeris.toe_s, ephemeris.af0_s, ephemeris.af1, 0.0
         orbit = *ephemeris.r_m, *ephemeris.v_mps, *ephemeris.a_mps2
         rest = KIND - TOE - len(clock) - len(orbit)
-        return np.array([0.0, ephemeris.week, *clock, *orbit, *[0.0] * rest, STATE_VECTOR, 1.0])
+        return np.array(
+            [0.0, ephemeris.week, *clock, *orbit, *[0.0] * rest, STATE_VECTOR, 1.0, 1.0]
+        )
     values = {name: float(getattr(ephemeris, name)) for name in _FIELDS}
     # Both times count from the week of toe; around its start toc may be of the week before.
     values["toc_s"] -= round((values["toc_s"] - values["toe_s"]) / WEEK_S) * WEEK_S
@@ -93,15 +98,38 @@ def pack_ephemeris(ephemeris: Orbit) -> Vector:
         values["omega_dot_rps"] += 0.0 if still else GNSS_EARTH_RATE_RPS - BEIDOU_EARTH_RATE_RPS
     mu = GPS_GM_M3PS2 if ephemeris.satellite[0] in "GJ" else WGS84_GM_M3PS2
     kind = GEOSTATIONARY_ORBIT if still else ELEMENTS
-    return np.array([mu, float(ephemeris.week), *values.values(), kind, 1.0])
+    return np.array([mu, float(ephemeris.week), *values.values(), kind, 1.0, 1.0])
 
 
 def packed_for_carrier(packed: Vector, carrier_hz: float) -> Vector:
-    """A packed ephemeris (25,) for another carrier than L1: scales the ionospheric delay."""
+    """A packed ephemeris (26,) for another carrier than L1: scales the ionospheric delay."""
     packed = packed.copy()
     packed[IONOSPHERE] = (L1_HZ / carrier_hz) ** 2
     if carrier_hz == B3I_HZ:
         packed[GROUP_DELAY] = 0.0
+    return packed
+
+
+def free_share(first_hz: Vector | float, second_hz: Vector | float) -> Vector:
+    """The weight of the first range in the ionosphere-free combination; the second has the rest."""
+    return np.asarray(1.0 / (1.0 - np.square(second_hz / first_hz)))
+
+
+def packed_for_free(packed: Vector, ephemeris: Orbit, first_hz: float, second_hz: float) -> Vector:
+    """A packed ephemeris (26,) for the ionosphere-free combination of two ranges.
+
+    The clocks of GPS, QZSS and GLONASS are those of the combination of L1 and L2, Galileo's that of
+    E1 and E5b, or E5a by the message, BeiDou's that of B3I alone [1]_ [2]_.
+    """
+    packed, share = packed.copy(), free_share(first_hz, second_hz).item()
+    if ephemeris.satellite[0] == "C":
+        delay_s = share * packed[GROUP_DELAY]
+    elif second_hz == E5A_HZ and isinstance(ephemeris, Ephemeris):
+        delay_s = ephemeris.group_delay_s - ephemeris.group_delay_e5a_s
+    else:
+        delay_s = 0.0
+    packed[GROUP_DELAY], packed[IONOSPHERE] = delay_s, 0.0
+    packed[NOISE] = share**2 + (1.0 - share) ** 2
     return packed
 
 
@@ -111,7 +139,7 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
 
     Parameters
     ----------
-    packed : (n, 25), rows of `pack_ephemeris`
+    packed : (n, 26), rows of `pack_ephemeris`
     week, tow_s : GPS time of reception on the receiver's clock
     pseudorange_m : (n,)
 

@@ -27,7 +27,8 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     `systems` are the first letters of the systems in use: GPS, Galileo, GLONASS (R), BeiDou (C),
     QZSS (J). `antenna_b_m` is the lever arm from IMU to antenna in body axes, `mask_deg` the lowest
     elevation used, `doppler` whether rates are used, `gap_s` the longest IMU gap that is bridged.
-    `ionosphere` holds Klobuchar's coefficients until some are received.
+    `ionosphere` holds Klobuchar's coefficients until some are received. With `ionosphere_free` the
+    ranges in use are the combinations of two frequencies, of the satellites that have both.
     """
 
     p_false_alarm: Probability = 1e-4
@@ -37,6 +38,7 @@ class FilterConfig(msgspec.Struct, frozen=True, kw_only=True, dict=True):
     antenna_b_m: Axes = (0.0, 0.0, 0.0)
     mask_deg: Annotated[float, Meta(ge=0, lt=90)] = 10.0
     doppler: bool = True
+    ionosphere_free: bool = False
     gap_s: Seconds = 0.15
     sigma: SigmaModel = SigmaModel()
     noise: ProcessNoise = ProcessNoise()

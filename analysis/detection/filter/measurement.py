@@ -24,6 +24,7 @@ from analysis.orbits.broadcast import (
     DELAY,
     ELEVATION,
     LINE_OF_SIGHT,
+    NOISE,
     RANGE,
     RATE,
     TOE,
@@ -46,7 +47,7 @@ RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium and geosynchronous orbits as seen from
 
 
 class EpochMeasurements(NamedTuple):
-    """The measurements of n satellites: arrays (n,), and their ephemerides packed (n, 25).
+    """The measurements of n satellites: arrays (n,), and their ephemerides packed (n, 26).
 
     `system` (n,) is each one's clock by `broadcast.CLOCK_OF`; `week` and `tow_s` are the receiver's
     time.
@@ -191,7 +192,7 @@ def _innovations(
         age_s = (measurements.week - week) * WEEK_S + measurements.tow_s - toe
         growth_m = EARLY_ERROR_M[system] if age_s < 0.0 else LATE_ERROR_M[system]
         all_m2, white_m2 = range_variance(elevation, measurements.cn0_dbhz[i], sigma)
-        share = sigma.systems[system] ** 2
+        share = sigma.systems[system] ** 2 * measurements.packed[i, NOISE]
         out[0, i] = measurements.pseudorange_m[i] - predicted[i, RANGE] - x[X_CLOCK] - isb
         out[1, i] = measurements.doppler_mps[i] - predicted[i, RATE] - x[X_DRIFT]
         out[2, i] = all_m2 * share + (growth_m * (age_s / 3600.0) ** 2) ** 2

@@ -40,7 +40,7 @@ def try_other_ephemerides(
     wrong = {name: ephemeris for name, ephemeris in used if name in faulty}
     broadcast = known._replace(wrong=known.wrong.union(wrong.values()), selection=None)
     places = [i for i, name in enumerate(epoch.satellites) if name in faulty]
-    observation, _ = observe(epoch.select(places), broadcast, config.systems)
+    observation, _ = observe(epoch.select(places), broadcast, config)
     if observation is None:
         return record, outcome, ()
     own = record.observation.select(np.isin(record.observation.satellites, observation.satellites))
@@ -52,7 +52,7 @@ def try_other_ephemerides(
     }
     if not doubtful:
         return record, outcome, ()
-    observation, broadcast = observe(epoch, broadcast, config.systems)
+    observation, broadcast = observe(epoch, broadcast, config)
     assert observation is not None
     again = record._replace(core=record.core._replace(broadcast=broadcast), observation=observation)
     other = run_stages(epoch.t_us, observation, record.run, again.core, history, config)

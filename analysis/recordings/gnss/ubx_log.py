@@ -20,8 +20,6 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.orbits.broadcast import B1I_HZ
-from analysis.orbits.glonass import CENTRE_HZ
 from analysis.recordings.flight_logs.ulog import read_ulog
 from analysis.recordings.gnss.log_bytes import read_log_bytes
 from analysis.recordings.gnss.navigation_words import (
@@ -33,10 +31,14 @@ from analysis.recordings.gnss.navigation_words import (
     parse_inav_word,
     parse_subframe,
 )
-from analysis.recordings.gnss.rinex_observations import CodeObservation, epoch_of
+from analysis.recordings.gnss.rinex_observations import (
+    SECOND,
+    CodeObservation,
+    carrier_of,
+    epoch_of,
+)
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.constants import L1_HZ
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 SYNC = b"\xb5b"
@@ -51,13 +53,15 @@ RANGE = np.dtype(
 RANGE_VALID = 1
 # By u-blox system and signal number: RINEX letter and code, carrier (GLONASS: channel 0).
 SIGNALS = {
-    (0, 0): ("G", "1C", L1_HZ),
-    (2, 0): ("E", "1C", L1_HZ),
-    (2, 1): ("E", "1B", L1_HZ),
-    (3, 0): ("C", "2I", B1I_HZ),
-    (3, 1): ("C", "2I", B1I_HZ),
-    (5, 0): ("J", "1C", L1_HZ),
-    (6, 0): ("R", "1C", CENTRE_HZ),
+    (number, signal): (code[0], code[1:], carrier_of(code[0], code[1:]))
+    for number, codes in {
+        0: {0: "G1C", 3: "G2L", 4: "G2S", 6: "G5I", 7: "G5Q"},
+        2: {0: "E1C", 1: "E1B", 3: "E5I", 4: "E5Q", 5: "E7I", 6: "E7Q"},
+        3: {0: "C2I", 1: "C2I", 2: "C7I", 3: "C7I", 4: "C6I", 7: "C5P"},
+        5: {0: "J1C", 4: "J2S", 5: "J2L", 8: "J5I", 9: "J5Q"},
+        6: {0: "R1C", 2: "R2C"},
+    }.items()
+    for signal, code in codes.items()
 }
 CHANNEL_ZERO = 7  # offset of GLONASS channel numbers
 UNKNOWN_SATELLITE = 255
@@ -146,7 +150,7 @@ def rawx_epoch(payload: bytes) -> Epoch | None:
     tow_s, week = float(head["tow_s"]), int(head["week"])
     if week == 0 or not 0.0 <= tow_s < WEEK_S:
         return None
-    rows: dict[str, CodeObservation] = {}
+    rows: tuple[dict[str, CodeObservation], ...] = {}, {}
     channels: dict[str, int] = {}
     for row in np.frombuffer(payload, RANGE, count, HEAD.itemsize):
         signal = SIGNALS.get((int(row["system"]), int(row["signal"])))
@@ -156,10 +160,10 @@ def rawx_epoch(payload: bytes) -> Epoch | None:
         letter, code, carrier_hz = signal
         name = f"{letter}{number:02d}"
         values = float(row["pseudorange_m"]), float(row["doppler_hz"]), float(row["cn0_dbhz"])
-        rows.setdefault(name, (name, values, carrier_hz, code))
+        rows[code in SECOND[letter]].setdefault(name, (name, values, carrier_hz, code))
         if letter == "R":
             channels[name] = int(row["slot"]) - CHANNEL_ZERO
-    return epoch_of(week, tow_s, list(rows.values()), channels)
+    return epoch_of(week, tow_s, rows[0].values(), channels, rows[1])
 
 
 def _broadcasts(payloads: list[bytes], near_s: float) -> Iterator[Broadcast]:
