@@ -14,11 +14,11 @@ from analysis.detection.detector_state import (
     EpochTiming,
 )
 from analysis.detection.filter.ephemerides import BroadcastData, unusable_reason
-from analysis.detection.filter.measurement import EpochObservation
+from analysis.detection.filter.measurement import EpochObservation, observe
 from analysis.detection.filter.propagation import add_pending, split_pending, update_interval_s
-from analysis.detection.filter.two_frequencies import compare_ranges
 from analysis.detection.isolation.epoch_memory import NOTHING_FROZEN
 from analysis.detection.isolation.exclusion import Exclusions, add_exclusions
+from analysis.detection.isolation.range_difference import compare_ranges
 from analysis.detection.isolation.trust import CONFIRMING_EPOCHS, LEAST_START_DOF
 from analysis.detection.stages.clock_drift import clock_results
 from analysis.detection.stages.decision_record import (
@@ -35,7 +35,6 @@ from analysis.detection.stages.ephemeris_fault import (
 )
 from analysis.detection.stages.epoch_stages import late_onsets, repair, run_stages
 from analysis.detection.stages.initial_fix import check_against_prior, solve_initial_fix
-from analysis.detection.stages.observe import observe
 from analysis.detection.stages.receiver_fix import step_position
 from analysis.results import Decision, Result
 from analysis.samples.block import EPOCH, FIX, Block, BlockSlice, ImuRun, block_of, split_at_events
@@ -148,12 +147,11 @@ class Detector(EventDetector[DetectorState]):
         interval_s = update_interval_s(core.imu.interval_s, run)
         core = core._replace(imu=core.imu._replace(mag_b=mag_b, interval_s=interval_s))
         assert core.motion is not None
-        found, differences = compare_ranges(
-            epoch, observation, core.motion, core.differences, broadcast.ionosphere, self.config
+        motion, known, ionosphere = core.motion, core.differences, broadcast.ionosphere
+        found, known, excluded = compare_ranges(
+            epoch, observation, motion, known, core.trust.excluded, ionosphere, self.config
         )
-        names = tuple(one.suspect for one in found if one.isolated)
-        excluded = add_exclusions(excluded, names, epoch.t_us, epoch.t_us)
-        core = core._replace(trust=core.trust._replace(excluded=excluded), differences=differences)
+        core = core._replace(trust=core.trust._replace(excluded=excluded), differences=known)
         results, core = self._run_stages(epoch, observation, run, core)
         return [*results, *found], core, pending
 

@@ -12,8 +12,8 @@ from analysis.detection.filter.ephemerides import BroadcastData
 from analysis.detection.filter.filter_state import ImuStatus, MotionEstimate
 from analysis.detection.filter.measurement import EpochObservation
 from analysis.detection.filter.propagation import NO_RUN, ImuSegment, imu_segment
-from analysis.detection.filter.two_frequencies import Differences
 from analysis.detection.isolation.epoch_memory import EpochMemory
+from analysis.detection.isolation.range_difference import Differences
 from analysis.detection.isolation.trust import Trust
 from analysis.detection.receiver.receiver_state import ReceiverState
 from analysis.detection.values import Value

@@ -17,12 +17,10 @@ from msgspec.structs import replace
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector import Detector
 from analysis.detection.filter.inertial import X_SIZE
-from analysis.detection.filter.measurement import EpochObservation, predict_innovations
+from analysis.detection.filter.measurement import EpochObservation, observe, predict_innovations
 from analysis.detection.filter.range_noise import SigmaModel
 from analysis.detection.stages.initial_fix import solve_snapshot
-from analysis.detection.stages.observe import observe
-from analysis.orbits.broadcast import CLOCKS, NOISE
-from analysis.orbits.snapshot import design_matrix, systems_of
+from analysis.orbits.broadcast import CLOCKS, NOISE, design_matrix, systems_of
 from analysis.samples.block import Indices
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample, Sample, Vector
 from mavproxy_fault.documents.document_check import decode

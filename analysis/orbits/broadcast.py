@@ -20,6 +20,7 @@ import math
 import numpy as np
 
 from analysis.orbits.glonass import propagate_state
+from analysis.samples.block import Indices
 from analysis.samples.sample import Orbit, PreciseOrbit, StateVector, Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import (
@@ -31,7 +32,7 @@ from mavproxy_fault.numerics.constants import (
     WGS84_GM_M3PS2,
 )
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
-from mavproxy_fault.rinex.gps_clock import BEIDOU_OFFSET_S
+from mavproxy_fault.rinex.gps_clock import BEIDOU_OFFSET_S, WEEK_S
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 # First letters of satellite names: GPS, Galileo, GLONASS, BeiDou, QZSS.
@@ -44,7 +45,6 @@ GEOSTATIONARY = (*range(1, 6), *range(59, 64))  # of BeiDou, by satellite number
 B1I_HZ = 1561.098e6
 E5A_HZ = 1176.45e6
 B3I_HZ = 1268.52e6  # BeiDou's clock reference: no group delay
-WEEK_S = 604_800.0
 
 # Klobuchar coefficients of a day with low to moderate solar activity, used if none are broadcast.
 TYPICAL_ALPHA = (1.118e-8, 7.451e-9, -5.96e-8, -5.96e-8)
@@ -101,27 +101,26 @@ def pack_ephemeris(ephemeris: Orbit) -> Vector:
     return np.array([mu, float(ephemeris.week), *values.values(), kind, 1.0, 1.0])
 
 
-def packed_for_carrier(packed: Vector, carrier_hz: float) -> Vector:
-    """A packed ephemeris (26,) for another carrier than L1: scales the ionospheric delay."""
-    packed = packed.copy()
-    packed[IONOSPHERE] = (L1_HZ / carrier_hz) ** 2
-    if carrier_hz == B3I_HZ:
-        packed[GROUP_DELAY] = 0.0
-    return packed
-
-
 def free_share(first_hz: Vector | float, second_hz: Vector | float) -> Vector:
     """The weight of the first range in the ionosphere-free combination; the second has the rest."""
     return np.asarray(1.0 / (1.0 - np.square(second_hz / first_hz)))
 
 
-def packed_for_free(packed: Vector, ephemeris: Orbit, first_hz: float, second_hz: float) -> Vector:
-    """A packed ephemeris (26,) for the ionosphere-free combination of two ranges.
+def packed_for(
+    packed: Vector, ephemeris: Orbit, carrier_hz: float, second_hz: float | None
+) -> Vector:
+    """A packed ephemeris (26,) for another carrier than L1, or for the ionosphere-free combination
+    of its range with a second one.
 
     The clocks of GPS, QZSS and GLONASS are those of the combination of L1 and L2, Galileo's that of
     E1 and E5b, or E5a by the message, BeiDou's that of B3I alone [1]_ [2]_.
     """
-    packed, share = packed.copy(), free_share(first_hz, second_hz).item()
+    packed = packed.copy()
+    if second_hz is None:
+        packed[IONOSPHERE] = (L1_HZ / carrier_hz) ** 2
+        packed[GROUP_DELAY] *= carrier_hz != B3I_HZ
+        return packed
+    share = free_share(carrier_hz, second_hz).item()
     if ephemeris.satellite[0] == "C":
         delay_s = share * packed[GROUP_DELAY]
     elif second_hz == E5A_HZ and isinstance(ephemeris, Ephemeris):
@@ -356,3 +355,15 @@ def predict_ranges(
         out[i, ELEVATION] = el
         out[i, AZIMUTH] = az
     return out
+
+
+def systems_of(system: Indices) -> list[int]:
+    """The distinct systems in `system` (n,), by `CLOCK_OF`; the first has no bias."""
+    return sorted(set(system.tolist()))
+
+
+def design_matrix(los: Vector, system: Indices) -> Vector:
+    """Geometry (n, 3 + systems) of one epoch: negative lines of sight, clock, systems' biases."""
+    columns = [-los, np.ones((len(los), 1))]
+    columns += [(system == kind)[:, None].astype(float) for kind in systems_of(system)[1:]]
+    return np.hstack(columns)

@@ -36,21 +36,10 @@ class BitReader:
         return self.column(1, width)[0]
 
 
-def pack_bits(fields: Iterable[tuple[int, int]]) -> bytes:
-    """Pack (value, width) fields, padded with zero bits to a complete byte.
+def pack_columns(columns: Iterable[tuple[Sequence[int], int]]) -> bytes:
+    """Pack columns of fields, each of one width, padded with zero bits to a complete byte.
 
     Negative values are packed as two's complement.
-
-    Raises
-    ------
-    ValueError
-        If a value does not fit its width.
-    """
-    return pack_columns(((value,), width) for value, width in fields)
-
-
-def pack_columns(columns: Iterable[tuple[Sequence[int], int]]) -> bytes:
-    """Pack columns of fields, each of one width, as `pack_bits` does.
 
     Raises
     ------

@@ -15,7 +15,7 @@ References
 from dataclasses import dataclass
 from typing import Any
 
-from mavproxy_fault.rtcm.bit_fields import BitReader, pack_bits
+from mavproxy_fault.rtcm.bit_fields import BitReader, pack_columns
 from mavproxy_fault.rtcm.transport import unwrap_message, wrap_message
 
 NUMBERS = {"G": 1019, "E": 1046}
@@ -178,8 +178,8 @@ def encode_ephemeris(ephemeris: Ephemeris) -> bytes:
         if name in _WRAPPED:
             # Half a revolution would round to one count more than the field can hold.
             count = (count + 2**31) % 2**32 - 2**31
-        fields.append((count, abs(bits)))
-    return wrap_message(pack_bits(fields))
+        fields.append(((count,), abs(bits)))
+    return wrap_message(pack_columns(fields))
 
 
 def decode_ephemeris(message: bytes, rollover_week: int = ROLLOVER_WEEK) -> Ephemeris:

@@ -19,10 +19,8 @@ from analysis.orbits.broadcast import (
     CLOCK_OF,
     PACKED,
     SYSTEMS,
-    WEEK_S,
     pack_ephemeris,
-    packed_for_carrier,
-    packed_for_free,
+    packed_for,
     satellite_states,
 )
 from analysis.samples.block import Indices
@@ -35,6 +33,7 @@ from analysis.samples.sample import (
     Vector,
 )
 from mavproxy_fault.numerics.constants import L1_HZ
+from mavproxy_fault.rinex.gps_clock import WEEK_S
 
 StoredOrbit = tuple[Orbit, Vector]  # an ephemeris and its packed numbers
 StoredOrbits = dict[str, tuple[StoredOrbit, ...]]  # by satellite, in the order of their times
@@ -139,11 +138,11 @@ def select_ephemerides(
         ephemeris, packed = nearest
         used.append(ephemeris)
         carrier_hz = L1_HZ if epoch.carrier_hz is None else epoch.carrier_hz.item(i)
+        second_hz = None
         if epoch.is_free and epoch.second is not None and epoch.second.carrier_hz is not None:
             second_hz = epoch.second.carrier_hz.item(i)
-            packed = packed_for_free(packed, ephemeris, carrier_hz, second_hz)
-        elif carrier_hz != L1_HZ:
-            packed = packed_for_carrier(packed, carrier_hz)
+        if second_hz is not None or carrier_hz != L1_HZ:
+            packed = packed_for(packed, ephemeris, carrier_hz, second_hz)
         rows.append(packed)
     names = tuple(epoch.satellites[i] for i in keep)
     differences_m, contradicted = _compare_with_precise(used, rows, epoch, ephemerides, wrong)

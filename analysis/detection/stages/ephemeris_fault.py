@@ -13,10 +13,9 @@ from msgspec.structs import replace
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore, EpochRecord
 from analysis.detection.filter.ephemerides import EphemerisSelection
-from analysis.detection.filter.measurement import EpochObservation, predict_innovations
+from analysis.detection.filter.measurement import EpochObservation, observe, predict_innovations
 from analysis.detection.stages.epoch_outcome import EpochOutcome
 from analysis.detection.stages.epoch_stages import run_stages
-from analysis.detection.stages.observe import observe
 from analysis.results import Decision
 from analysis.samples.sample import Epoch, Orbit
 

@@ -11,7 +11,6 @@ References
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from mavproxy_fault.rtcm.bit_fields import BitReader
 from mavproxy_fault.rtcm.ephemeris_messages import (
@@ -68,45 +67,34 @@ _INAV: dict[int, tuple[Row, ...]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Subframe:
-    """Ten words of 24 bits without parity; `number` is 1 to 5."""
-
-    number: int
-    data: bytes
-
-
-def parse_subframe(words: Sequence[int]) -> Subframe | None:
-    """Parse a subframe from ten 30-bit words; None without the preamble."""
+def parse_subframe(words: Sequence[int]) -> tuple[int, bytes] | None:
+    """Number (1 to 5) and data of a subframe of ten 30-bit words, without their parity; None
+    without the preamble."""
     if len(words) < 10:
         return None
     data = b"".join((word >> 6 & 0xFFFFFF).to_bytes(3, "big") for word in words[:10])
-    return Subframe(data[5] >> 2 & 7, data) if data[0] == PREAMBLE else None
+    return (data[5] >> 2 & 7, data) if data[0] == PREAMBLE else None
 
 
-def klobuchar_coefficients(found: Subframe) -> tuple[Coefficients, Coefficients] | None:
+def klobuchar_coefficients(number: int, data: bytes) -> tuple[Coefficients, Coefficients] | None:
     """Klobuchar alpha and beta; None if the subframe is not page 18 of subframe 4."""
-    if found.number != 4 or found.data[6] & 0x3F != KLOBUCHAR_PAGE:
+    if number != 4 or data[6] & 0x3F != KLOBUCHAR_PAGE:
         return None
-    counts = BitReader(found.data[7:15]).column(8, -8)
+    counts = BitReader(data[7:15]).column(8, -8)
     a0, a1, a2, a3, b0, b1, b2, b3 = (
         count * step for count, step in zip(counts, KLOBUCHAR_STEPS, strict=True)
     )
     return (a0, a1, a2, a3), (b0, b1, b2, b3)
 
 
-def gps_ephemeris(
-    satellite: str, subframes: dict[int, Subframe], near_s: float
-) -> Ephemeris | None:
+def gps_ephemeris(satellite: str, subframes: dict[int, bytes], near_s: float) -> Ephemeris | None:
     """The ephemeris of the newest subframes 1, 2 and 3; None while their issues of data differ.
 
     `near_s` is the approximate time of transmission, in s since the start of GPS time.
     """
     if not all(number in subframes for number in _SUBFRAMES):
         return None
-    parts = {
-        k: read_fields(BitReader(subframes[k].data[6:]), rows) for k, rows in _SUBFRAMES.items()
-    }
+    parts = {k: read_fields(BitReader(subframes[k][6:]), rows) for k, rows in _SUBFRAMES.items()}
     if not parts[1]["iodc_low"] == parts[2]["iode"] == parts[3]["iode"]:
         return None
     values = parts[1] | parts[2] | parts[3]

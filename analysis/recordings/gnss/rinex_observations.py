@@ -22,9 +22,9 @@ import numpy as np
 from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ, G2_HZ
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
-from mavproxy_fault.rinex.observation_header import ObservationHeader
+from mavproxy_fault.rinex.observation_header import ObservationField, ObservationHeader
 from mavproxy_fault.rinex.observation_text import file_epochs
-from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
+from mavproxy_fault.rinex.rinex_text import check_header, read_rinex_text
 from mavproxy_fault.rinex.signal_fields import CARRIERS_MHZ, VALUE
 
 PREFERRED = {
@@ -45,54 +45,46 @@ SECOND = {
 CODES_2 = {"1C": "C1", "1P": "P1", "2W": "P2", "2P": "P2", "2S": "C2", "2C": "C2"}
 CODES_2 |= {"5X": "C5", "7X": "C7"}
 SAME_CARRIER = 0.004  # GLONASS channels are within 0.3 % of channel 0; B1I is 0.9 % from L1
-ABSENT_COLUMN = 1 << 20  # beyond the end of any line
+ABSENT = ObservationField("", 0, 1 << 20)  # beyond the end of any line
 # Satellite; code in m, Doppler in Hz, C/N0 in dBHz; carrier in Hz (GLONASS: channel 0); signal.
 CodeObservation = tuple[str, tuple[float, float, float], float, str]
 NOT_OBSERVED = (math.nan, math.nan, math.nan), math.nan, ""
 
 
 class _Signal(NamedTuple):
-    """Lines after a satellite's first and start columns of code, Doppler and C/N0 of one signal,
-    the factor of the stored code; code and carrier (GLONASS: of channel 0)."""
+    """Fields of code, Doppler and C/N0 of one signal, lines counted from a satellite's first; code
+    and carrier (GLONASS: of channel 0)."""
 
-    places: tuple[tuple[int, int], ...]
-    scale: float
+    fields: tuple[ObservationField, ...]
     signal: str
     carrier_hz: float
 
 
-def read_observations(path: Path) -> list[Epoch]:
+def read_observations(path: Path, lines: list[str] | None = None) -> list[Epoch]:
     """All epochs of an observation file in file order; `t_us` counts from the start of GPS time.
+    `lines` are its lines, if they were modified beforehand.
 
     Raises
     ------
     ConfigError
         If the file is not a RINEX observation file.
     """
-    return epochs_of(path, read_rinex_text(path))
-
-
-def epochs_of(path: Path, lines: list[str]) -> list[Epoch]:
-    """All epochs in the lines of an observation file; `path` is used in errors."""
-    header_of(path, lines, "O", "an observation file")
+    lines = read_rinex_text(path) if lines is None else lines
+    check_header(path, lines, "O", "an observation file")
     return list(_epochs(lines))
 
 
 def _signals(header: ObservationHeader, system: str, preferred: tuple[str, ...]) -> list[_Signal]:
     """A system's signals in the file, in order of preference."""
-    types = header.types_of(system)
-    found = []
+    # Of a type that is named twice the first.
+    fields, found = {field.name: field for field in reversed(header.fields(system))}, []
     for signal in preferred:
-        code, rest = "C" + signal, ("D" + signal, "S" + signal)
+        kinds = "C" + signal, "D" + signal, "S" + signal
         if header.version < 3.0:
-            code, rest = CODES_2.get(signal, ""), ("D" + signal[0], "S" + signal[0])
-        if code in types:
-            places = [
-                header.place(types.index(kind)) if kind in types else (0, ABSENT_COLUMN)
-                for kind in (code, *rest)
-            ]
-            scale, carrier_hz = header.scale_of(system, code), carrier_of(system, signal)
-            found.append(_Signal(tuple(places), scale, signal, carrier_hz))
+            kinds = CODES_2.get(signal, ""), "D" + signal[0], "S" + signal[0]
+        if kinds[0] in fields:
+            own = tuple(fields.get(kind, ABSENT) for kind in kinds)
+            found.append(_Signal(own, signal, carrier_of(system, signal)))
     return found
 
 
@@ -107,8 +99,8 @@ def carrier_of(system: str, signal: str) -> float:
 def _values(lines: list[str], row: int, signal: _Signal) -> tuple[float, float, float] | None:
     """Code, Doppler and C/N0 of a satellite; None without a valid code range."""
     try:
-        texts = [lines[row + line][column : column + VALUE] for line, column in signal.places]
-        range_m = float(texts[0]) / signal.scale
+        texts = [lines[row + f.at][f.column : f.column + VALUE] for f in signal.fields]
+        range_m = float(texts[0]) / signal.fields[0].scale
         # RINEX files use blank, zero or NaN for a missing value.
         if not range_m > 0.0:
             return None

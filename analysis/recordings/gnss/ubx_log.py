@@ -24,7 +24,6 @@ from analysis.recordings.flight_logs.ulog import read_ulog
 from analysis.recordings.gnss.log_bytes import read_log_bytes
 from analysis.recordings.gnss.navigation_words import (
     WEEK_S,
-    Subframe,
     gps_ephemeris,
     inav_ephemeris,
     klobuchar_coefficients,
@@ -67,6 +66,7 @@ CHANNEL_ZERO = 7  # offset of GLONASS channel numbers
 UNKNOWN_SATELLITE = 255
 HEAD_BYTES = 8  # header of SFRBX before its words; that of RAWX is longer
 GPS, GALILEO, QZSS = 0, 2, 5
+LETTERS = {GPS: "G", GALILEO: "E", QZSS: "J"}
 # C/A; E1 and E5b (0 on receivers with E1 only). Other signals carry other messages.
 MESSAGE_SIGNALS = {GPS: (0,), GALILEO: (0, 1, 5, 6), QZSS: (0,)}
 Broadcast = EphemerisSample | IonosphereSample
@@ -168,8 +168,7 @@ def rawx_epoch(payload: bytes) -> Epoch | None:
 
 def _broadcasts(payloads: list[bytes], near_s: float) -> Iterator[Broadcast]:
     """Ephemerides and ionosphere of all satellites, each once per change."""
-    subframes: dict[str, dict[int, Subframe]] = {}
-    inav: dict[str, dict[int, bytes]] = {}
+    known: dict[str, dict[int, bytes]] = {}  # the newest subframes or words by number
     newest: dict[str, Ephemeris] = {}
     for payload in payloads:
         system, number, signal, _, count = payload[:5]
@@ -177,18 +176,20 @@ def _broadcasts(payloads: list[bytes], near_s: float) -> Iterator[Broadcast]:
         if short or signal not in MESSAGE_SIGNALS.get(system, ()):
             continue
         words = np.frombuffer(payload, "<u4", count, HEAD_BYTES).tolist()
-        ephemeris = None
-        if system in (GPS, QZSS) and (part := parse_subframe(words)) is not None:
-            name = f"{'G' if system == GPS else 'J'}{number:02d}"
-            subframes.setdefault(name, {})[part.number] = part
-            ephemeris = gps_ephemeris(name, subframes[name], near_s)
-            # QZSS coefficients are valid for Japan only.
-            if system == GPS and (ionosphere := klobuchar_coefficients(part)) is not None:
-                yield IonosphereSample(0, *ionosphere)
-        elif system == GALILEO and (word := parse_inav_word(words)) is not None:
-            name = f"E{number:02d}"
-            inav.setdefault(name, {})[word[0]] = word[1]
-            ephemeris = inav_ephemeris(name, inav[name], near_s)
+        parse, decode = (
+            (parse_inav_word, inav_ephemeris)
+            if system == GALILEO
+            else (parse_subframe, gps_ephemeris)
+        )
+        if (part := parse(words)) is None:
+            continue
+        name = f"{LETTERS[system]}{number:02d}"
+        parts = known.setdefault(name, {})
+        parts[part[0]] = part[1]
+        ephemeris = decode(name, parts, near_s)
+        # QZSS coefficients are valid for Japan only.
+        if system == GPS and (ionosphere := klobuchar_coefficients(*part)) is not None:
+            yield IonosphereSample(0, *ionosphere)
         if ephemeris is not None and newest.get(ephemeris.satellite) != ephemeris:
             newest[ephemeris.satellite] = ephemeris
             yield EphemerisSample(0, ephemeris)

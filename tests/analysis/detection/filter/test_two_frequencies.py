@@ -9,7 +9,7 @@ import pytest
 
 from analysis.detection import Detector, DetectorConfig
 from analysis.detection.detector import run_detector
-from analysis.detection.filter.two_frequencies import ionosphere_free
+from analysis.detection.filter.measurement import ionosphere_free
 from analysis.detection.learn_noise import learn_noise
 from analysis.orbits.broadcast import (
     B1I_HZ,
@@ -19,7 +19,7 @@ from analysis.orbits.broadcast import (
     IONOSPHERE,
     NOISE,
     pack_ephemeris,
-    packed_for_free,
+    packed_for,
 )
 from analysis.orbits.glonass import CENTRE_HZ, G2_HZ
 from analysis.recordings.read_recordings import read_rinex_samples
@@ -85,7 +85,7 @@ def test_a_planted_ionospheric_delay_vanishes_and_noise_grows_by_the_known_facto
     # A sample of 40,000 knows a standard deviation to 0.35 %; four times that.
     assert np.std(noisy.pseudorange_m - range_m) == pytest.approx(factor, rel=0.014)
     orbit = next(s.ephemeris for s in roof if isinstance(s, EphemerisSample))
-    packed = packed_for_free(pack_ephemeris(orbit), orbit, first_hz, second_hz)
+    packed = packed_for(pack_ephemeris(orbit), orbit, first_hz, second_hz)
     assert packed[NOISE] == pytest.approx(factor**2, rel=1e-3)
     assert packed[IONOSPHERE] == 0.0
 
@@ -112,7 +112,7 @@ def test_the_group_delay_of_a_combination_is_that_of_its_two_ranges(
     expected_s = (ratio * own_s - second_delay(own_s, e5a_s)) / (ratio - 1.0)
     if name == "G" or second_hz == E5B_HZ:
         assert expected_s == pytest.approx(0.0, abs=1e-18)
-    packed = packed_for_free(pack_ephemeris(orbit), orbit, first_hz, second_hz)
+    packed = packed_for(pack_ephemeris(orbit), orbit, first_hz, second_hz)
     assert packed[GROUP_DELAY] == pytest.approx(expected_s, abs=1e-15)
 
 
@@ -124,6 +124,13 @@ def test_a_second_range_whose_delay_is_not_known_is_not_combined(system, signal)
     assert epoch.second is not None
     second = replace(epoch.second, satellites=names, signals=(signal,) * 3)
     assert ionosphere_free(replace(epoch, satellites=names, second=second)).satellites == ()
+
+
+def test_second_ranges_on_several_signals_are_not_mixed_on_one_clock():
+    epoch = two_ranges(L1_HZ, L2_HZ, np.full(5, 2.2e7), np.ones(5))
+    assert epoch.second is not None
+    second = replace(epoch.second, signals=("2W", "2L", "2W", "2L", "2W"))
+    assert ionosphere_free(replace(epoch, second=second)).satellites == ("G01", "G03", "G05")
 
 
 def test_both_ranges_of_a_file_are_read(roof):
@@ -153,11 +160,14 @@ def test_the_height_of_a_recording_is_better_with_two_frequencies(roof):
     assert errors[1] < 0.5 * errors[0]
 
 
-def with_fault(samples: list[Sample], names: tuple[str, ...], metres: float, on: str) -> list:
+def with_fault(
+    samples: list[Sample], names: tuple[str, ...], metres: float, on: str, for_s: float = 1e6
+) -> list:
     """The samples with metres on a range of some satellites from `FAULT_S` on."""
-    begin_us, out = epochs_of(samples)[0].t_us, list[Sample]()
+    begin_us, out = epochs_of(samples)[0].t_us + FAULT_S * 1e6, list[Sample]()
     for s in samples:
-        if isinstance(s, Epoch) and s.t_us >= begin_us + FAULT_S * 1e6 and s.second is not None:
+        faulty = isinstance(s, Epoch) and begin_us <= s.t_us < begin_us + for_s * 1e6
+        if isinstance(s, Epoch) and faulty and s.second is not None:
             shift = metres * np.isin(s.satellites, names)
             if on == "first":
                 s = replace(s, pseudorange_m=s.pseudorange_m + shift)
@@ -211,3 +221,23 @@ def test_a_step_of_most_satellites_is_the_receivers_delay_and_no_fault(roof):
     names = epochs_of(roof)[0].satellites
     found = run_detector(Detector(), with_fault(roof, names, 20.0, "second"))
     assert differing(found) == []
+
+
+@pytest.mark.parametrize("name", ["G19", "E13"])
+def test_a_satellite_is_used_again_once_its_difference_is_what_it_was(roof, name):
+    found = run_detector(Detector(FREE), with_fault(roof, (name,), 20.0, "second", for_s=5.0))
+    fault_us = epochs_of(roof)[0].t_us + round(FAULT_S * 1e6)
+    assert [d.t_us for d in decisions(found) if d.excluded] == [fault_us]
+    assert [r.suspect for r in differing(found)] == [name]
+
+
+@pytest.mark.parametrize(("cn0_dbhz", "named"), [(45.0, {"E13"}), (20.0, set())])
+def test_a_step_of_a_second_range_counts_by_that_signals_own_strength(roof, cn0_dbhz, named):
+    samples = []
+    for s in with_fault(roof, ("E13",), 8.0, "second"):
+        if isinstance(s, Epoch) and s.second is not None:
+            strengths = np.where(np.array(s.satellites) == "E13", cn0_dbhz, 45.0)
+            s = replace(s, second=replace(s.second, cn0_dbhz=strengths))
+        samples.append(s)
+    found = differing(run_detector(Detector(), samples))
+    assert {r.suspect for r in found} == named

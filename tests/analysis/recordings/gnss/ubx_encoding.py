@@ -9,7 +9,7 @@ from struct import pack
 
 from analysis.samples.sample import Epoch
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
-from mavproxy_fault.rtcm.bit_fields import pack_bits
+from mavproxy_fault.rtcm.bit_fields import pack_columns
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 from mavproxy_fault.rtcm.transport import crc24q
 
@@ -96,7 +96,7 @@ def klobuchar_page(alpha: Sequence[float], beta: Sequence[float]) -> list[int]:
 
 def _words_30(number: int, rows: list[Field]) -> list[int]:
     head = [(0x8B, 8), (0, 16), (1234, 17), (0, 2), (number, 3), (0, 2)]
-    data = pack_bits([*head, *rows])
+    data = pack_columns(((value,), width) for value, width in [*head, *rows])
     assert len(data) == 30
     return [int.from_bytes(data[k : k + 3], "big") << 6 for k in range(0, 30, 3)]
 
@@ -120,7 +120,10 @@ def inav_pages(e: Ephemeris) -> list[list[int]]:
         [(5, 6), (0, 41), (count(e.group_delay_e5a_s, -32), 10), (count(e.group_delay_s, -32), 10),
          (e5b >> 1, 2), (e1 >> 1, 2), (e5b & 1, 1), (e1 & 1, 1), (0, 55)],
     ]  # fmt: skip
-    return [_page(int.from_bytes(pack_bits(rows), "big")) for rows in words]
+    return [
+        _page(int.from_bytes(pack_columns(((value,), width) for value, width in rows), "big"))
+        for rows in words
+    ]
 
 
 def _page(word: int) -> list[int]:
