@@ -35,7 +35,8 @@ from mavproxy_fault.proxy.interfaces import LinkRole
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import HEADER_V1, HEADER_V2, Frame, build_frame
-from mavproxy_fault.wire.signing import derive_key, sign_frame
+from mavproxy_fault.wire.signing import derive_key
+from tests.signed_frames import sign_frame
 
 HERE = Path(__file__).parent
 WINDOW, FRAMES, WARM = 64, 32_000, 3_200

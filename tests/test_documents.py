@@ -1,16 +1,19 @@
 """The documents point at what is there."""
 
+import glob
 import re
 import runpy
 import shlex
+import shutil
 import textwrap
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
 
 from mavproxy_fault.app.command_parser import CommandParser
-from mavproxy_fault.cli import build_parser
+from mavproxy_fault.cli import build_parser, main
 from mavproxy_fault.documents.yaml_document import read_yaml
 
 ROOT = Path(__file__).parents[1]
@@ -125,6 +128,94 @@ def test_every_printed_command_is_one_that_the_command_line_takes(page: Path) ->
         for word in words:
             if word.startswith("examples/"):
                 assert (ROOT / word).exists(), command
+
+
+# The commands of indented blocks that are not run here, and why.
+NOT_RUN = {
+    r"--autopilot|autopilot_search|autopilots-1|--binary|(px4|copter)\.yaml": "needs an autopilot",
+    r"^(sim|proxy|ardupilot|ui|inject) |^ui$|--ui|--link|--zenoh|--interactive": "runs beside"
+    " another program, as in the quickstarts, or shows a page until Ctrl-C",
+    r"--rinex|rover\.obs|\.ulg": "needs a recording of the reader's",
+    r"estimators-1|monitor-1|campaign_compiled": "takes minutes",
+    r"campaign_estimators.yaml($| --out)|search .*_search.yaml$": "takes minutes",
+    r"examples/fusion.yaml$": "flown by tests/analysis/run/test_examples_fly.py",
+    r"worst-01-campaign|--first$": "flies a search of the reader's, as tests/analysis/search does",
+}
+INDENTED_COMMAND = re.compile(r"^(mavproxy-fault|cp) (.*)$", re.M)
+SHORT = ROOT / "tests" / "analysis" / "campaign" / "short.yaml"
+FAULT = "{id: f, fault: bias, target: HIL_SENSOR.xgyro, at_s: 2, for_s: 2, value: 1}"
+CAMPAIGN = """
+name: a reader's
+subjects: [ekf]
+scenarios: [../flight.yaml]
+onsets: [2]
+durations_s: [2]
+faults: [{id: gyro, fault: bias, target: HIL_SENSOR.xgyro, magnitudes: [0.1]}]
+"""
+
+
+def indented_commands(page: Path) -> Iterator[tuple[str, str]]:
+    """Program and arguments of the commands of indented blocks, without comments."""
+    rest = FENCED.sub("", page.read_text(encoding="utf-8"))
+    for block in INDENTED.findall(rest):
+        text = textwrap.dedent(block).replace("\\\n", " ")
+        for program, line in INDENTED_COMMAND.findall(text):
+            yield program, re.split(r"  +#| \|\| ", line)[0].rstrip()
+
+
+def reason_not_to_run(line: str) -> str | None:
+    return next((NOT_RUN[one] for one in NOT_RUN if re.search(one, line)), None)
+
+
+WITH_COMMANDS = [
+    page
+    for page in PAGES
+    if any(reason_not_to_run(line) is None for _, line in indented_commands(page))
+]
+
+
+@pytest.fixture(scope="module")
+def readers_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files that the pages' commands are about: flights, their logs, and campaigns."""
+    folder = tmp_path_factory.mktemp("reader")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        Path("examples").symlink_to(ROOT / "examples")
+        Path("flight.yaml").write_text(f"{SHORT.read_text()}schedule: {{faults: [{FAULT}]}}\n")
+        Path("tests").mkdir()
+        Path("tests/campaign.yaml").write_text(CAMPAIGN)
+        assert main(["run", "flight.yaml", "--zenoh", "off", "--out", "runs/0001-demo"]) in (0, 1)
+        assert main(["campaign", "tests/campaign.yaml", "--out", "before"]) in (0, 1)
+        for copy in ("after", "runs/campaign-px4-1"):
+            shutil.copytree("before", copy)
+        shutil.copytree("runs/0001-demo", "runs/a")
+        shutil.copy("runs/a/labels.jsonl", ".")
+        Path("logs").mkdir()
+        for name in ("flight", "hil", "gcs", "new", "old", "logs/1", "logs/2"):
+            shutil.copy("runs/a/sent.tlog", f"{name}.tlog")
+    return folder
+
+
+@pytest.mark.timeout(600)  # a search and some flights
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda page: page.stem)
+def test_the_indented_commands_of_a_page_run_as_printed(
+    page: Path, readers_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(readers_folder, tmp_path / "here", symlinks=True)
+    monkeypatch.chdir(tmp_path / "here")
+    for program, line in indented_commands(page):
+        if reason_not_to_run(line) is not None:
+            continue
+        words = [file for word in shlex.split(line) for file in sorted(glob.glob(word)) or [word]]
+        if program == "cp":
+            shutil.copy(*words)
+        else:
+            assert main(words) in (0, 1), line  # 1: a verdict, or something got worse
+
+
+def test_every_reason_not_to_run_a_command_holds_for_one() -> None:
+    lines = [line for page in PAGES for _, line in indented_commands(page)]
+    assert [one for one in NOT_RUN if not any(re.search(one, line) for line in lines)] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

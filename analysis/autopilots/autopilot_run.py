@@ -33,7 +33,7 @@ from analysis.autopilots.hil_exchange import (
 )
 from analysis.autopilots.operator_commands import OperatorCommands
 from analysis.autopilots.px4 import px4_process
-from analysis.autopilots.running_autopilot import RunningAutopilot, StartupPacer
+from analysis.autopilots.running_autopilot import Pacer, RunningAutopilot
 from analysis.autopilots.stretches import open_stretches
 from analysis.report.curves.fault_effects import deviation_curves
 from analysis.report.curves.recording import Signal
@@ -130,7 +130,7 @@ def main(args: argparse.Namespace) -> int:
             session,
             Schedule(setup.schedule.seed, faults),
             args.count_from,
-            Operator(plan, OperatorCommands(modes, plan.landing)),
+            Operator(plan, OperatorCommands(modes, plan.waypoints, plan.landing)),
             stack.enter_context(stop_requests()),
             viewed=zenoh != "off",
         )
@@ -250,13 +250,19 @@ class AutopilotRun:
         launch: AbstractContextManager[RunningAutopilot],
         speed: float,
     ) -> str:
-        """Fly to the landing; return the reason of an early end, or an empty string."""
+        """Fly to the landing; return the reason of an early end, or an empty string.
+
+        Raises
+        ------
+        ConfigError
+            If the autopilot took no step.
+        """
         simulation = self._flight.simulation
         mav_type, mix = mav_type_and_mix(simulation)
         hil = HilPacker(simulation.board, mav_type=mav_type)
         stretches = open_stretches(simulation, hil, self._passage)
         with launch as running:
-            self._startup_pacer = StartupPacer(running)
+            self._pacer = Pacer(running)
             deadline = ConnectionDeadline(running.links[0], running.process, CONNECT_TIMEOUT_S)
             lockstep = Lockstep()
             sender = AutopilotSender(
@@ -291,8 +297,9 @@ class AutopilotRun:
                 reason = f"{refused}{running.exit_details()}"
         sender.deliver_all()
         self._close()
-        # Before the first step there is no battery state.
-        if reason and loop.t_us > 0 and simulation.truth.battery_remaining <= 0.0:
+        if reason and loop.t_us == 0:  # nothing to report on
+            raise ConfigError(reason)
+        if reason and simulation.truth.battery_remaining <= 0.0:
             reason += "; the simulated battery was empty"
         if reason:
             self._progress.say(f"the flight ended early: {reason}")
@@ -325,13 +332,13 @@ class AutopilotRun:
         """Return the operator's frames and write the logs when due; called before each step."""
         self._session.serve()
         t_us = self._flight.vehicle_us
-        self._startup_pacer.wait_for_pace(t_us)
+        self._pacer.wait_for_pace(t_us, careful=self._operator.needs_time)
         frames: list[bytes] = []
         if t_us >= self._operator_us:
             self._operator_us = t_us + OPERATOR_PERIOD_US
             on_ground = self._flight.simulation.truth.on_ground
             # Before the first timestamp there is no vehicle time.
-            started = self._startup_pacer.finished
+            started = self._pacer.started
             frames = self._operator.step(t_us, on_ground=on_ground, started=started) if t_us else []
         if self._session.loaded_schedule is None and self._count_from in self._operator.events_us:
             self._begin_schedule(t_us)

@@ -38,6 +38,11 @@ VEHICLE_KINDS = {1: "fixedwing"} | dict.fromkeys(
     (2, 3, 4, 13, 14, 15), "multirotor"
 )  # by MAV_TYPE_
 REST_S = 2.0  # on the ground, so that what hit it with its motors off is recorded to its end
+# After an upload and at each change of mode PX4 reads the items of a mission, for about a second.
+READING_US = 3_000_000
+# Without a frame for ten of PX4's heartbeats its threads of low priority do not run, nor does it
+# read ours: after 10 s it would return for want of a ground station.
+SILENT_US = 1_000_000
 GROUNDED_LIMIT_S = 30.0  # on the ground with motors on: the vehicle has crashed
 
 
@@ -84,6 +89,7 @@ class Operator:
         self.failure = ""
         self._plan, self._commands = plan, commands
         self._t_us = self._phase_since_us = self._retry_us = self._heartbeat_us = 0
+        self._heard_us = 0  # when the last frame was received
         self._position_since_us: int | None = None  # start of the position estimate
         self._armed = self._uploaded = self._started = False
         self._height_m = self._steady_height_m = 0.0
@@ -98,9 +104,17 @@ class Operator:
         """Whether the flight has landed or failed."""
         return self.phase is Phase.LANDED or bool(self.failure)
 
+    @property
+    def needs_time(self) -> bool:
+        """Whether the autopilot stores or reads a mission, or falls behind with its telemetry."""
+        reads = self.phase is Phase.UPLOADING or self._t_us - self._phase_since_us < READING_US
+        late = self._t_us - self._heard_us > SILENT_US
+        return late or (self._commands.has_mission and reads)
+
     def receive(self, frame: Frame) -> None:
         """Read a frame of the autopilot."""
         self._commands.receive(frame)
+        self._heard_us = self._t_us
         name = frame.layout.name
         if name == "HEARTBEAT" and frame.component == 1:
             self._armed = bool(int(frame.number("base_mode")) & ARMED_FLAG)
@@ -189,7 +203,7 @@ class Operator:
                 settled = since_us is not None and self._t_us - since_us >= POSITION_SETTLED_US
                 return settled and self._started
             case Phase.UPLOADING:
-                return self._uploaded or not self._plan.waypoints
+                return self._uploaded or not self._commands.has_mission
             case Phase.ARMING:
                 return self._armed
             case Phase.CLIMBING:
@@ -230,7 +244,7 @@ class Operator:
         """Send the command of this phase."""
         plan, commands = self._plan, self._commands
         if self.phase is Phase.UPLOADING:
-            commands.upload(plan.waypoints)
+            commands.upload()
         elif self.phase is Phase.ARMING:
             commands.arm()
         elif self.phase is Phase.CLIMBING and self._height_m < TAKEN_OFF_M:

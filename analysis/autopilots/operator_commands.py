@@ -43,21 +43,38 @@ class OperatorCommands:
     Parameters
     ----------
     modes : OperatorModes
+    waypoints : sequence of Waypoint
     landing : sequence of Waypoint
-        Landing approach of a plane whose version has no landing mode.
+        Landing approach of a plane whose version has no landing mode. It is the end of the mission:
+        an upload in the air would have to compete with the flight.
     """
 
-    def __init__(self, modes: OperatorModes, landing: Sequence[Waypoint] = ()) -> None:
+    def __init__(
+        self,
+        modes: OperatorModes,
+        waypoints: Sequence[Waypoint] = (),
+        landing: Sequence[Waypoint] = (),
+    ) -> None:
         self._modes = modes
-        self._landing = self._landing_items(landing) if landing else ()
+        self._items = mission_items(waypoints, landing, home_is_first=modes.home_is_first)
+        first = len(self._items) - len(waypoint_items(landing))  # item of the approach
+        self._landing_commands: list[tuple[float, ...]] = []  # those that are not accepted yet
+        if landing:
+            self._landing_commands = [
+                (Command.SET_MISSION_CURRENT, first),
+                (Command.SET_MODE, CUSTOM_MODE, *modes.mission),
+            ]
         self._before_arming = list(modes.before_arming)
         self._requested_mode: Mode = ()
-        self._cannot_land, self._landing_uploaded = not modes.land, False
-        self._items: tuple[MissionItem, ...] = ()  # announced, and started
-        self._started: tuple[MissionItem, ...] = ()
+        self._lands_by_mission = not modes.land
         self._calls_until_count = 0  # while an upload is in progress: silent calls to wait
         self._seq = 0
         self._pending: list[bytes] = []
+
+    @property
+    def has_mission(self) -> bool:
+        """Whether there are items to upload before the take-off."""
+        return bool(self._items)
 
     def pending(self) -> list[bytes]:
         """Return and clear the frames to send."""
@@ -67,25 +84,31 @@ class OperatorCommands:
     def receive(self, frame: Frame) -> None:
         """Answer requests for mission items, and note refused modes."""
         name = frame.layout.name
-        if name == "COMMAND_ACK" and frame.number("command") == Command.SET_MODE:
-            refused = frame.number("result") not in (ACCEPTED, IN_PROGRESS)
-            # ArduPlane before 4.7 has no AUTOLAND.
-            self._cannot_land |= refused and self._requested_mode == self._modes.land
+        if name == "COMMAND_ACK":
+            self._receive_ack(int(frame.number("command")), int(frame.number("result")))
         elif name == "MISSION_ACK":
-            accepted = frame.number("type") == 0
-            self._landing_uploaded = accepted and self._items is self._landing
-            if not accepted:
+            if frame.number("type") != 0:
                 self._calls_until_count = 0  # refused: begin again
         elif name in ("MISSION_REQUEST_INT", "MISSION_REQUEST") and self._items:
             self._calls_until_count = SILENT_CALLS
             number = min(int(frame.number("seq")), len(self._items) - 1)
             self._send(MISSION_ITEM_INT, {"seq": number, **self._items[number].values()})
 
-    def upload(self, waypoints: Sequence[Waypoint]) -> None:
-        """Announce the mission."""
-        if not self._items:
-            self._items = self._with_home(waypoint_items(waypoints))
-        self._announce(self._items)
+    def _receive_ack(self, command: int, result: int) -> None:
+        refused = result not in (ACCEPTED, IN_PROGRESS)
+        if self._lands_by_mission:
+            if not refused and self._landing_commands and command == self._landing_commands[0][0]:
+                self._landing_commands.pop(0)
+        elif command == Command.SET_MODE and self._requested_mode == self._modes.land:
+            # ArduPlane before 4.7 has no AUTOLAND.
+            self._lands_by_mission = refused and bool(self._landing_commands)
+
+    def upload(self) -> None:
+        """Announce the mission, unless its upload is in progress: that would begin anew."""
+        if self._calls_until_count > 0:
+            self._calls_until_count -= 1
+            return
+        self._send(MISSION_COUNT, {"count": len(self._items)})
 
     def arm(self) -> None:
         """Arm, in the last of the modes before arming."""
@@ -106,34 +129,14 @@ class OperatorCommands:
         """Start the uploaded mission; called once, since a repetition would restart it."""
         self._set_mode(self._modes.mission)
         self._command(Command.MISSION_START)
-        self._started = self._items
 
     def land(self) -> None:
-        """Switch to the landing mode, or fly the landing as a mission."""
-        if not (self._cannot_land and self._landing):
+        """Switch to the landing mode, or fly the approach at the end of the mission."""
+        if not self._lands_by_mission:
             self._set_mode(self._modes.land)
-        elif not self._landing_uploaded:
-            self._announce(self._landing)
-        elif self._started is not self._landing:
-            self.fly_mission()
-
-    def _landing_items(self, approach: Sequence[Waypoint]) -> tuple[MissionItem, ...]:
-        """The items of an approach, the last of which is LAND."""
-        *items, last = waypoint_items(approach)
-        return self._with_home((*items, replace(last, command=Command.LAND)))
-
-    def _with_home(self, items: tuple[MissionItem, ...]) -> tuple[MissionItem, ...]:
-        # Any position will do: ArduPilot replaces it.
-        return (items[-1], *items) if self._modes.home_is_first else items
-
-    def _announce(self, items: tuple[MissionItem, ...]) -> None:
-        """Send MISSION_COUNT, unless these items are being uploaded: that would begin anew."""
-        if items is not self._items:
-            self._items, self._calls_until_count = items, 0
-        if self._calls_until_count > 0:
-            self._calls_until_count -= 1
-            return
-        self._send(MISSION_COUNT, {"count": len(items)})
+        elif self._landing_commands:
+            number, *parameters = self._landing_commands[0]
+            self._command(int(number), *parameters)
 
     def _set_mode(self, mode: Mode) -> None:
         self._requested_mode = mode
@@ -149,3 +152,17 @@ class OperatorCommands:
         self._pending.append(
             build_frame(layout, values, seq=self._seq, system=GROUND_STATION, component=COMPONENT)
         )
+
+
+def mission_items(
+    waypoints: Sequence[Waypoint], landing: Sequence[Waypoint], *, home_is_first: bool
+) -> tuple[MissionItem, ...]:
+    """The items of a mission: between its waypoints and the approach, the plane circles."""
+    items = list(waypoint_items(waypoints))
+    if items and landing:
+        items.append(replace(items[-1], command=Command.LOITER_UNLIMITED))
+    if landing:
+        items += waypoint_items(landing)
+        items[-1] = replace(items[-1], command=Command.LAND)
+    # Any position will do for home: ArduPilot replaces it.
+    return (items[-1], *items) if items and home_is_first else tuple(items)

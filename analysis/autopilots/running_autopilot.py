@@ -12,7 +12,7 @@ from mavproxy_fault.ardupilot.child_process import describe_exit
 from mavproxy_fault.links.link import Link
 
 MIN_WAIT_S = 0.02  # wall time by which the flight may be ahead of its pace
-STARTUP_SPEED = 4.0  # times real time; a faster flight delays the start (benchmarks/autopilots.md)
+CAREFUL_SPEED = 4.0  # times real time; a faster flight delays the start (benchmarks/autopilots.md)
 STARTUP_LIMIT_S = 60.0  # for versions that print another text
 SHUTDOWN_TIMEOUT_S = 10.0  # for the process to close its logs
 
@@ -44,33 +44,37 @@ class RunningAutopilot:
         return f"; last output of {self.name}: {' | '.join(lines[-3:])}" if lines else ""
 
 
-class StartupPacer:
-    """Limits the speed of a flight until the autopilot has started completely.
+class Pacer:
+    """Limits the speed of a flight until the autopilot has started, and where care is needed.
 
-    It answers steps long before that; at full speed it would take off before its own log begins.
+    PX4 answers steps long before its own log begins. It stores and reads a mission by the
+    computer's clock, but waits for it by the vehicle's: at full speed some reads fail.
     """
 
     def __init__(self, autopilot: RunningAutopilot) -> None:
         self._autopilot = autopilot
-        self.finished = not autopilot.startup_text
-        self._began_s: float | None = None
-        self._first_us = 0
+        self.started = not autopilot.startup_text
+        self._began_s: float | None = None  # when the limit began to hold, and the first limit
+        self._made_s, self._began_us = time.monotonic(), 0
 
-    def wait_for_pace(self, t_us: int) -> None:
-        """Sleep while the flight is ahead of the start-up speed."""
-        if self.finished:
+    def wait_for_pace(self, t_us: int, *, careful: bool) -> None:
+        """Sleep while the flight is ahead of its pace."""
+        now_s = time.monotonic()
+        if self.started and not careful:
+            self._began_s = None
             return
         if self._began_s is None:
-            self._began_s, self._first_us = time.monotonic(), t_us
-        ahead_s = (t_us - self._first_us) * 1e-6 / STARTUP_SPEED - (
-            time.monotonic() - self._began_s
-        )
+            self._began_s, self._began_us = now_s, t_us
+        ahead_s = (t_us - self._began_us) * 1e-6 / CAREFUL_SPEED - (now_s - self._began_s)
         if ahead_s < MIN_WAIT_S:
             return
         time.sleep(ahead_s)
-        started = self._autopilot.startup_text in self._autopilot.log.read_text(errors="replace")
-        # Another version may print another text.
-        self.finished = started or time.monotonic() - self._began_s > STARTUP_LIMIT_S
+        if not self.started:
+            printed = self._autopilot.startup_text in self._autopilot.log.read_text(
+                errors="replace"
+            )
+            # Another version may print another text.
+            self.started = printed or time.monotonic() - self._made_s > STARTUP_LIMIT_S
 
 
 @contextlib.contextmanager

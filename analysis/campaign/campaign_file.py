@@ -17,7 +17,7 @@ from analysis.monitor.pipeline import MonitorConfig, monitor_detectors
 from analysis.scoring.criteria import VehicleCriteria
 from analysis.scoring.requirements import parse_requirements
 from analysis.search.space.test_file import TestFile
-from mavproxy_fault.documents.document_check import DocumentCheck, decode
+from mavproxy_fault.documents.document_check import DocumentCheck, Section, decode
 from mavproxy_fault.documents.document_kind import check_kind
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.parameter_list import read_parameters
@@ -28,11 +28,7 @@ from mavproxy_fault.schedule.entries import parse_entry
 MAGNITUDE = "value"  # the key of a fault that a magnitude sets by default
 
 
-class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of the sections: unknown keys are errors."""
-
-
-class Magnitudes(_Section, frozen=True):
+class Magnitudes(Section, frozen=True):
     """Magnitudes from `low` to `high`; in a critical search, the interval to search."""
 
     low: float
@@ -61,7 +57,7 @@ class Magnitudes(_Section, frozen=True):
         return [float(f"{self.interpolate(i / (self.count - 1)):.4g}") for i in range(self.count)]
 
 
-class FaultChoice(_Section, frozen=True):
+class FaultChoice(Section, frozen=True):
     """A fault or preset, or several `faults` at once; `magnitudes` replace its key `sets`; `also`
     holds further keys. A part without magnitudes takes those of the whole."""
 
@@ -71,7 +67,7 @@ class FaultChoice(_Section, frozen=True):
     target: str | list[str] | None = None
     magnitudes: tuple[float, ...] | Magnitudes | None = None
     sets: str = MAGNITUDE
-    also: dict[str, Any] = {}
+    also: dict[str, Any] = msgspec.field(default_factory=dict)
     faults: tuple["FaultChoice", ...] = ()
 
     def __post_init__(self) -> None:
@@ -132,7 +128,7 @@ class FaultChoice(_Section, frozen=True):
         return [{**entry, **start, "for_s": duration_s}]
 
 
-class SubjectChoice(_Section, frozen=True):
+class SubjectChoice(Section, frozen=True):
     """An autopilot under test, as `mavproxy-fault run` takes it; `parameters` is a file relative to
     the campaign file, `arguments` are further arguments of `run`."""
 
@@ -150,14 +146,14 @@ class SubjectChoice(_Section, frozen=True):
         return [*arguments, *self.arguments]
 
 
-class CompiledScenario(_Section, frozen=True):
+class CompiledScenario(Section, frozen=True):
     """A compiled flight of the search's own aircraft; `compiled` holds keys of a test file."""
 
     name: str
     compiled: dict[str, Any]
 
 
-class Combination(_Section, frozen=True):
+class Combination(Section, frozen=True):
     """Faults at once, in addition to each alone: all pairs, or a covering array, in which each two
     values of the campaign's lists occur together in one flight at least."""
 
@@ -165,7 +161,7 @@ class Combination(_Section, frozen=True):
     cover: Literal["all", "pairs"] = "all"
 
 
-class CampaignFile(_Section, frozen=True, dict=True):
+class CampaignFile(Section, frozen=True, dict=True):
     """A campaign file; the number of cells is the product of its lists.
 
     `vary` lists values of scenario keys, such as wind and start, by their paths; `requirements`
@@ -176,7 +172,7 @@ class CampaignFile(_Section, frozen=True, dict=True):
     subjects: tuple[str | SubjectChoice, ...]
     scenarios: tuple[str | CompiledScenario, ...]
     faults: tuple[FaultChoice, ...]
-    vary: dict[str, tuple[float, ...]] = {}
+    vary: dict[str, tuple[float, ...]] = msgspec.field(default_factory=dict)
     name: str = "campaign"
     onsets: tuple[float | str, ...] = (20.0,)
     durations_s: tuple[float, ...] = (10.0,)
@@ -188,7 +184,7 @@ class CampaignFile(_Section, frozen=True, dict=True):
     flight_limit_s: float = 600.0
     requirements: Any = None
     combine: Combination | Literal[2] | None = None
-    severity: dict[str, str] = {}
+    severity: dict[str, str] = msgspec.field(default_factory=dict)
     folder: str = "."
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from analysis.campaign.campaign_file import MAGNITUDE, CampaignFile, FaultChoice
 from mavproxy_fault.fault_parts.target import PLANT, RANGES
-from mavproxy_fault.fault_parts.units import SIZES
+from mavproxy_fault.fault_parts.units import LEVELS, SIZES, VALUE_UNITS
 from mavproxy_fault.faults.registry import fault_class
 from mavproxy_fault.numerics.earth import curvature_radii
 from mavproxy_fault.wire.dialect import find_layout
@@ -20,16 +20,7 @@ SHOWN = {
     "rate": "rad/s", "acceleration": "m/s/s", "field": "gauss", "pressure": "hPa", "length": "m",
     "speed": "m/s", "angle": "deg", "voltage": "V", "current": "A", "temperature": "degC",
 }  # fmt: skip
-SPELT = {"m/s/s": "m/s²", "rad/s/s": "rad/s²", "m/s/s/s": "m/s³", "degC": "°C"}
-# What `value` is of a fault: a difference from or a level of the field, or has its own unit. The
-# value of all others is a share, a factor or a number of something.
-OFFSETS = ("bias", "noise", "sine", "impulse", "cycle", "quantise", "dead-band", "random-walk")
-LEVELS = ("constant", "saturate")
-RATES = ("drift", "slew-limit")
-OWN_UNITS = {
-    "gps-spoof": "m", "rate-limit": "Hz", "time-drift": "s/s", "time-backwards": "s/s",
-    **dict.fromkeys(("delay", "jitter", "lag", "replay", "sample-hold", "time-jump"), "s"),
-}  # fmt: skip
+SPELT = {"m/s/s": "m/s²", "rad/s/s": "rad/s²", "m/s²/s": "m/s³", "degC": "°C"}
 # The units at the end of keys and plant parameters, such as `offset_m` and `wind_n_mps`.
 SUFFIXES = {
     "m": "m",
@@ -85,15 +76,12 @@ def fault_unit(choice: FaultChoice, lat_rad: float) -> MagnitudeUnit:
     if choice.sets != MAGNITUDE:
         return _unit_of_key(choice.sets)
     replaces = name in LEVELS or choice.also.get("mode") == "replace"
-    if name not in (*OFFSETS, *LEVELS, *RATES):
-        return MagnitudeUnit(OWN_UNITS.get(name, ""))
+    given = VALUE_UNITS.get(name, "")
+    if not given.startswith("field"):
+        return MagnitudeUnit(given)
     unit = _unit_of_field(message, field, None if replaces else lat_rad)
-    if name == "random-walk":
-        return unit._replace(name=f"{unit.name}/√s") if unit.name else unit
-    if name in RATES and unit.name:
-        per_second = {shown: key for key, shown in SPELT.items()}.get(unit.name, unit.name) + "/s"
-        return unit._replace(name=SPELT.get(per_second, per_second))
-    return unit
+    shown = given.replace("field", unit.name)
+    return unit._replace(name=SPELT.get(shown, shown)) if unit.name else unit
 
 
 def _unit_of_key(key: str) -> MagnitudeUnit:

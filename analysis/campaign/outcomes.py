@@ -7,9 +7,7 @@ without the fault.
 import math
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.campaign.cell import Cell, CellResult
 from analysis.flying.flight_evidence import (
@@ -20,6 +18,8 @@ from analysis.flying.flight_evidence import (
     EvidenceCurve,
 )
 from analysis.scoring.vehicle_outcome import FLEW_AWAY, UNAFFECTED, VEHICLE_OUTCOMES, VehicleEvent
+from mavproxy_fault.documents.document_check import Section
+from mavproxy_fault.numerics.arrays import Array
 
 LOST = "lost"  # of an estimate, while the vehicle may be well, and of a flight that ended early
 BEST = VEHICLE_OUTCOMES.index(UNAFFECTED)
@@ -27,10 +27,9 @@ WORSE = VEHICLE_OUTCOMES.index(FLEW_AWAY)
 RANKS = (*VEHICLE_OUTCOMES[BEST:WORSE], LOST, *VEHICLE_OUTCOMES[WORSE:])
 ABORTED = "aborted"  # the flight failed to run, which says nothing about the subject
 SAME_EVENT_S = 1.0  # marks this close are one event: a period of HEARTBEAT, which has the mode
-Vector = NDArray[np.float64]
 
 
-class OutcomeLimits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class OutcomeLimits(Section, frozen=True):
     """Limits of the excursions.
 
     Beyond `attitude_deg` or `position_m` a flight is degraded. Beyond `lost_deg` or `lost_m` an
@@ -144,7 +143,7 @@ def largest_error(flight: Evidence, name: str, onset_s: float) -> float:
 
 def error_excursion(
     flight: Evidence, reference: Evidence, name: str, onset_s: float
-) -> tuple[Vector, Vector]:
+) -> tuple[Array, Array]:
     """Return times (n,) [s] since the onset and flight minus reference (n,); empty if missing."""
     if name not in flight.curves or name not in reference.curves:
         return np.empty(0), np.empty(0)
@@ -158,17 +157,17 @@ def error_excursion(
     return t_s, np.where(np.isfinite(value), value - healthy, math.inf)
 
 
-def path_excursion(flight: Evidence, reference: Evidence, onset_s: float) -> tuple[Vector, Vector]:
+def path_excursion(flight: Evidence, reference: Evidence, onset_s: float) -> tuple[Array, Array]:
     """Return times (n,) [s], and the vehicle's distance to the reference flight (n,) [m]."""
     axes = [error_excursion(flight, reference, name, onset_s) for name in PATH]
     return axes[0][0], np.linalg.norm([difference for _, difference in axes], axis=0)
 
 
-def _arrays(curve: EvidenceCurve) -> tuple[Vector, Vector]:
+def _arrays(curve: EvidenceCurve) -> tuple[Array, Array]:
     return np.array(curve.t_s), np.array(curve.value)
 
 
-def recovery_s(t_s: Vector, beyond: Vector, limit: float, ends_s: float) -> float | None:
+def recovery_s(t_s: Array, beyond: Array, limit: float, ends_s: float) -> float | None:
     """Return the seconds from the fault's end until the excursion stays within the limit, or None.
 
     `beyond` (n,) is the excursion in degrees or metres at the times `t_s` (n,); at least one value

@@ -203,6 +203,11 @@ def _used(raw: Values, scale: float = 1.0) -> Values:
     return raw * scale if np.nan_to_num(raw).any() else np.full(len(raw), np.nan)
 
 
+def _since(begun: Values, raw: Values) -> Values:
+    """Values from the first row on at which something is true; zeros before it mean nothing."""
+    return np.where(np.logical_or.accumulate(begun), raw, np.nan)
+
+
 def _accuracy(metres: Values) -> Values:
     """An accuracy in m; NaN if zero or above 1000 km, as receivers without a fix report."""
     return np.where((metres > 0) & (metres < UNKNOWN_M), metres, np.nan)
@@ -279,9 +284,9 @@ def _to_ned(q: Values, body: NDArray[np.bool_], v: Values) -> Values:
 FUNCTIONS: dict[str, Any] = {
     "__builtins__": {}, "DEG": 180 / np.pi, "GRAVITY": STANDARD_GRAVITY_MPS2, "nan": np.nan,
     "stack": lambda *parts: np.array(parts, float), "where": np.where, "sqrt": np.sqrt,
-    "known": _known, "used": _used, "accuracy": _accuracy, "euler": _euler, "rank": _rank,
-    "summed": _summed, "old_hundredths": _old_hundredths, "pascal": _pascal, "course": _course,
-    "quat": _quat, "unit": _unit, "to_ned": _to_ned, "wrapped": wrap_degrees,
+    "known": _known, "used": _used, "since": _since, "accuracy": _accuracy, "euler": _euler,
+    "rank": _rank, "summed": _summed, "old_hundredths": _old_hundredths, "pascal": _pascal,
+    "course": _course, "quat": _quat, "unit": _unit, "to_ned": _to_ned, "wrapped": wrap_degrees,
     "norm": lambda *parts: np.sqrt(sum(np.asarray(p, float) ** 2 for p in parts)),
     "most": lambda *parts: np.max(np.abs(np.array(parts, float)), axis=0),
     "above_0": lambda raw: np.where(raw > 0, raw, np.nan), "twelve": _twelve,

@@ -1,8 +1,8 @@
 """Worker pools: jobs in this process, in several processes of this machine, or on a Ray cluster.
 
 A job is any object that can be pickled and has a method `run`. A hung job is ended after its time
-limit, and a process that dies fails its job; on a cluster, a job whose node dies is repeated on
-another node.
+limit, in which kernels that are compiled at first use do not count, and a process that dies fails
+its job; on a cluster, a job whose node dies is repeated on another node.
 """
 
 import itertools
@@ -11,16 +11,17 @@ import signal
 import time
 from collections import deque
 from collections.abc import Generator, Iterable, Sequence
-from concurrent.futures import Future
+from concurrent.futures import CancelledError, Future
 from typing import Any, NamedTuple, Protocol
 
 from pebble import ProcessExpired, ProcessPool
 
 from analysis.processes import spawn_context
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.code_cache import IDLE_S, compiled_last_s
 
 QUEUED_PER_WORKER = 2  # so that no worker is idle
-POLL_S = 1.0
+POLL_S = 0.25
 
 
 class Job(Protocol):
@@ -71,26 +72,44 @@ class LocalWorkerPool(WorkerPool):
         self.workers = workers
         self._limit_s = limit_s
         self._done: queue.SimpleQueue[tuple[int, Future[Any]]] = queue.SimpleQueue()
+        self._begun_s: dict[Future[Any], float] = {}  # Unix time; 0 for a job that waits
         self._pool = ProcessPool(
             max_workers=workers, context=spawn_context(), initializer=_ignore_ctrl_c
         )
 
     def start(self, number: int, job: Job) -> None:
         """Begin a job."""
-        future = self._pool.schedule(_run_job, args=[job], timeout=self._limit_s)
+        future = self._pool.schedule(_run_job, args=[job])
+        self._begun_s[future] = 0.0
         # Called in a thread of the pool: the queue passes it to this thread.
         future.add_done_callback(lambda done: self._done.put((number, done)))
 
     def finished(self) -> tuple[int, Any]:
         """Wait for the next answer."""
-        number, future = self._done.get()
+        while True:
+            try:
+                number, future = self._done.get(timeout=POLL_S)
+                break
+            except queue.Empty:
+                self._end_hung()
+        del self._begun_s[future]
         try:
             return number, future.result()
-        # A hung job must give a result, or a campaign would never end.
-        except TimeoutError:
+        except CancelledError:
             return number, _hung(self._limit_s)
         except ProcessExpired as dead:
             return number, JobFailure(f"its process died with code {dead.exitcode}")
+
+    def _end_hung(self) -> None:
+        """End jobs over their limit: each must give a result, or a campaign would never end."""
+        now_s = time.time()
+        for future in filter(Future.running, list(self._begun_s)):
+            begun_s = self._begun_s[future] = self._begun_s[future] or now_s
+            if self._limit_s is not None and now_s - begun_s > self._limit_s:
+                compiled_s = compiled_last_s()
+                # One function may take longer to compile than a flight may last.
+                if compiled_s < begun_s or now_s - compiled_s > max(self._limit_s, IDLE_S):
+                    future.cancel()
 
     def close(self) -> None:
         """End the processes."""

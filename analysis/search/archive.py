@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from mavproxy_fault.numerics.arrays import Array
+
 MIN_DISTANCE = 0.1  # RMS distance of different cases in the unit cube: a tenth of the range
 SPARE_FACTOR = 3  # candidates per requested case: the fitness of some is due to their noise draw
 

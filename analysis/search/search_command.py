@@ -9,7 +9,6 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.flying.worker_pool import WorkerPool, open_worker_pool
 from analysis.report.run_folder import numbered_folder
@@ -32,6 +31,7 @@ from analysis.search.space.test_file import TestFile, read_test
 from analysis.work_progress import WorkProgress
 from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.arrays import Array
 
 DEFAULT_BUDGET = 2000  # evaluations: half a minute of compiled flights
 FRESH_SEED_OFFSET = 1_000_003  # added to the seed for noise that the search did not use
@@ -39,7 +39,6 @@ SIMULATOR_BATCH, AUTOPILOT_BATCH = (
     8,
     2,
 )  # flights per checkpoint, in the simulator and with an autopilot
-Array = NDArray[np.float64]
 Progress = Callable[[int, float, int], None]
 
 

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.search.cases import yaml_of_test
 from analysis.search.evaluation.compiled_score import (
@@ -15,9 +14,9 @@ from analysis.search.evaluation.evaluator import Evaluator, average_draws, seed_
 from analysis.search.searchers import make_searcher
 from analysis.search.shrink import pin_values
 from analysis.search.space.test_file import TestFile
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat
 
-Array = NDArray[np.float64]
 COLUMNS = (
     "t_s", "north_m", "east_m", "down_m", "u_mps", "v_mps", "w_mps", "roll_rad", "pitch_rad",
     "yaw_rad", "p_rps", "q_rps", "r_rps", "gyro_x_rps", "gyro_y_rps", "gyro_z_rps",

@@ -8,13 +8,12 @@ from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.search.archive import rms_distance
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.extras import import_extra
+from mavproxy_fault.numerics.arrays import Array
 
-Array = NDArray[np.float64]
 BATCH_POINTS = 256  # points per batch where the method has no population size
 
 

@@ -7,7 +7,7 @@ import msgspec
 
 from analysis.search.search_session import SearchSession
 from analysis.search_page.flight_data import flight_data
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 
 
 class Flights:
@@ -47,13 +47,9 @@ class Flights:
             self._refuse_in_flight()
             if self._number is None or self._failed:
                 raise ConfigError("no test is displayed; fly one first")
-            try:
+            where = f"{self._session.folder}: cannot be written"
+            with users_path(where, "give another folder with --out"):
                 files = self._session.save()
-            except OSError as error:
-                raise ConfigError(
-                    f"{self._session.folder}: cannot be written ({error.strerror}); "
-                    "give another folder with --out"
-                ) from None
             self.saved += [one for one in files if one not in self.saved]
             return [str(one) for one in files]
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import HTTPConnection, Request
 from starlette.responses import FileResponse, JSONResponse, Response
@@ -116,7 +117,9 @@ async def data_answer(data: Callable[[], bytes]) -> Response:
 async def action_answer(request: Request, act: Callable[[bytes], dict[str, Any]]) -> Response:
     """Return the result of `act` on the body, run in a thread; a ConfigError gives status 400."""
     try:
-        return JSONResponse(await run_in_threadpool(act, await read_body(request)))
+        answer = await run_in_threadpool(act, await read_body(request))
+        # Unlike Starlette's, msgspec writes what is no number as null.
+        return Response(msgspec.json.encode(answer), media_type="application/json")
     except ConfigError as error:
         return refusal_answer(400, str(error))
 

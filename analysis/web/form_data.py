@@ -9,6 +9,7 @@ import msgspec
 from mavproxy_fault.app.catalogue import first_line, schedule_schema
 from mavproxy_fault.app.preview import FaultCurve, preview_curves
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.fault_parts.units import VALUE_UNITS
 from mavproxy_fault.faults.registry import acts_on_ranges, known_faults
 from mavproxy_fault.schedule.entries import parse_entry
 from mavproxy_fault.schedule.presets import preset_names, read_preset
@@ -33,6 +34,7 @@ def fault_catalogue() -> bytes:
         name: {
             "about": first_line(kind),
             "acts_on": kind.acts_on,
+            "unit": VALUE_UNITS.get(name, ""),
             "messages": list(getattr(kind, "messages", ())),
             "on_ranges": acts_on_ranges(kind),
             "schema": choice,
@@ -40,8 +42,9 @@ def fault_catalogue() -> bytes:
         for (name, kind), choice in zip(known_faults().items(), choices, strict=True)
     }
     presets = {name: read_preset(name)["about"] for name in preset_names()}
+    # Of a position one step is 11 mm to the north.
     units = {
-        f"{name}.{field.name}": field.unit
+        f"{name}.{field.name}": field.unit.replace("degE7", "1e-7 deg")
         for name in SUGGESTED_MESSAGES
         for field in message_layout(name).fields.values()
     }
@@ -87,18 +90,13 @@ def preview_entry(body: bytes) -> dict[str, Any]:
 
 
 def thin_curve(curve: FaultCurve) -> dict[str, Any]:
-    """A curve thinned for a small plot; None where there is no number."""
+    """A curve thinned for a small plot."""
     # Rounded up, so that no curve exceeds MAX_POINTS.
     step = max(1, math.ceil(len(curve.t_s) / MAX_POINTS))
     return {
         "name": curve.name,
         "t": curve.t_s[::step],
-        "healthy": [finite_or_none(y) for y in curve.healthy[::step]],
-        "faulty": [finite_or_none(y) for y in curve.faulty[::step]],
+        "healthy": curve.healthy[::step],
+        "faulty": curve.faulty[::step],
         "lost": curve.lost[::step],
     }
-
-
-def finite_or_none(y: float) -> float | None:
-    """The number, None where JSON cannot represent it."""
-    return y if math.isfinite(y) else None

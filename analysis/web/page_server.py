@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import msgspec
 import uvicorn
@@ -71,7 +72,7 @@ class PageServer(uvicorn.Server):  # type: ignore[misc]
 
 def prepare_server(
     zenoh: str | None,
-    port: int | None,
+    port: int | None = None,
     config_file: str = "",
     commands: bool = False,
     sequences: Path | None = None,
@@ -138,24 +139,10 @@ def serve_in_thread(server: PageServer, bound: socket.socket) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def serve_page(
-    zenoh: str | None = None,
-    port: int | None = None,
-    config_file: str = "",
-    commands: bool = False,
-    sequences: Path | None = None,
-    feed: Feed | None = None,
-) -> Iterator[str]:
-    """Serve the page from a thread inside a `with` block; yields the address to open.
-
-    Raises
-    ------
-    ConfigError
-        If the port is in use or invalid.
-    """
-    server, source, bound, address = prepare_server(
-        zenoh, port, config_file, commands, sequences, feed
-    )
+def serve_page(zenoh: str | None = None, **options: Any) -> Iterator[str]:
+    """Serve the page that `prepare_server` prepares with the same parameters, from a thread inside
+    a `with` block; yields the address to open."""
+    server, source, bound, address = prepare_server(zenoh, **options)
     with contextlib.closing(source), serve_in_thread(server, bound):
         yield address
 

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 
 FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.-]{0,80}\.ya?ml")
 
@@ -30,10 +30,8 @@ class SequenceFolder:
         ConfigError
             If it does not exist.
         """
-        try:
+        with users_path(name, "give a stored sequence"):
             return self._path(name).read_bytes()
-        except OSError as error:
-            raise ConfigError(f"{name}: cannot be read ({error.strerror})") from None
 
     def write(self, name: str, text: str) -> None:
         """Store a sequence under a name, replacing an earlier one.
@@ -43,11 +41,8 @@ class SequenceFolder:
         ConfigError
             If it cannot be written.
         """
-        path = self._path(name)
-        try:
-            path.write_text(text, encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{name}: cannot be written ({error.strerror})") from None
+        with users_path(name, "give --sequences a folder that can be written to"):
+            self._path(name).write_text(text, encoding="utf-8")
 
     def _path(self, name: str) -> Path:
         if self._folder is None:

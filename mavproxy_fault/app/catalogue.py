@@ -202,7 +202,8 @@ def schedule_schema() -> dict[str, Any]:
         "required": ["preset"],
     }
     # The faults' schemas are inlined above; the rest are the types that they refer to.
-    used = {name: part for name, part in components.items() if name not in _names(found)}
+    inlined = {ref["$ref"].rsplit("/", 1)[1] for ref in found}
+    used = {name: part for name, part in components.items() if name not in inlined}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "A schedule of mavproxy-fault",
@@ -214,7 +215,3 @@ def schedule_schema() -> dict[str, Any]:
         "additionalProperties": False,
         "$defs": used,
     }
-
-
-def _names(refs: tuple[dict[str, Any], ...]) -> set[str]:
-    return {ref["$ref"].rsplit("/", 1)[1] for ref in refs}

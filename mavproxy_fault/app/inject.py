@@ -3,12 +3,13 @@
 import argparse
 import json
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import msgspec
 
 from mavproxy_fault.app.catalogue import fault_and_preset_names
-from mavproxy_fault.app.command_result import print_result
+from mavproxy_fault.app.command_result import open_console, plain_table, print_result
 from mavproxy_fault.app.running_proxy import join_run, query_run
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.suggestion import suggest_known
@@ -31,32 +32,25 @@ def main(args: argparse.Namespace) -> int:
     with join_run(args) as bus:
         reply = query_run(bus, what, msgspec.json.encode(data))
     if args.list:
-        print_result(args, reply["faults"], format_fault_table(reply))
+        print_result(args, reply["faults"], partial(show_faults, reply))
     else:
         print_result(args, reply, json.dumps(reply))
     return 0
 
 
-def format_fault_table(state: ScheduleState) -> str:
-    """Format the faults of a run as a table, with times in seconds from the schedule's start."""
-    rows = [("ID", "STATE", "FAULT", "FROM", "UNTIL", "FRAMES", "ON")]
-    t0_us = state["t0_us"] or 0
+def show_faults(state: ScheduleState) -> None:
+    """Print the faults of a run as a table, with times in seconds from the schedule's start."""
+    numbers = ("from s", "to s", "frames")
+    table = plain_table("id", "state", "fault", *numbers, "target", right=numbers)
     for fault in state["faults"]:
-        begin, end = fault.get("start_us"), fault.get("end_us")
-        rows.append(
-            (
-                fault["id"],
-                fault["state"],
-                fault.get("preset") or fault["fault"],
-                "" if begin is None else f"{(begin - t0_us) * 1e-6:.1f}",
-                "" if end is None else f"{(end - t0_us) * 1e-6:.1f}",
-                str(fault.get("frames", 0)),
-                ", ".join(fault.get("targets", [])),
-            )
+        begin, end = (
+            "" if t_us is None else f"{(t_us - (state['t0_us'] or 0)) * 1e-6:.1f}"
+            for t_us in (fault.get("start_us"), fault.get("end_us"))
         )
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ("  ".join(text.ljust(w) for text, w in zip(row, widths, strict=True)) for row in rows)
-    return "\n".join(line.rstrip() for line in lines) if len(rows) > 1 else "no faults"
+        words = fault["id"], fault["state"], fault.get("preset") or fault["fault"], begin, end
+        frames, targets = str(fault.get("frames", 0)), ", ".join(fault.get("targets", []))
+        table.add_row(*words, frames, targets)
+    open_console().print(table if state["faults"] else "no faults")
 
 
 def build_request(args: argparse.Namespace) -> tuple[str, dict[str, Any]]:

@@ -27,6 +27,8 @@ COLUMNS = 5
 RANGE_M = 2.2e7
 MOST_SATELLITES = 24  # drawn of each system: one message in TUNNEL holds no more
 LARGE = 1e5  # above it, a curve shows the change only
+# Of 1e-7 degrees on the WGS 84 ellipsoid, at the latitude of HEALTHY.
+METRES = {"lat": 0.011118, "lon": 0.007549}
 
 Row = tuple[str, float, float, float | None]  # curve, time [s], healthy, faulty (None: lost)
 
@@ -74,6 +76,7 @@ def draw_preview(schedule: Schedule, path: Path) -> None:
     )
     for i, entry in enumerate(entries):
         _axes(figure.add_subplot(rows, columns, i + 1), entry, schedule.seed)
+    figure.supxlabel("time, s", fontsize=9)
     try:
         figure.savefig(path, dpi=80)
     except (OSError, ValueError) as error:  # no folder, or no format of that suffix
@@ -184,14 +187,17 @@ def apply_engine(engine: Engine, frame: Frame, t_s: float) -> list[Outgoing]:
 def _field_rows(
     engine: Engine, name: str, places: Sequence[tuple[str, int]], times_s: Sequence[float]
 ) -> Iterator[Row]:
+    fields = message_layout(name).fields
+    units = [("m", METRES.get(field, 1.0)) if fields[field].unit == "degE7" else
+             (fields[field].unit, 1.0) for field, _ in places]  # fmt: skip
     for t_s in times_s:
         healthy = healthy_frame(name, t_s)
         for out in apply_engine(engine, healthy, t_s):
             # Replies to the simulator do not belong to this stream.
             if isinstance(out.frame, Frame) and not out.back:
-                for place in places:
-                    values = float(healthy.number(*place)), float(out.frame.number(*place))
-                    yield f"{name}.{place[0]}", t_s, *values
+                for place, (unit, scale) in zip(places, units, strict=True):
+                    before, after = (scale * float(f.number(*place)) for f in (healthy, out.frame))
+                    yield f"{name}.{place[0]}, {unit}".removesuffix(", "), t_s, before, after
 
 
 def _change_only(curve: FaultCurve) -> FaultCurve:

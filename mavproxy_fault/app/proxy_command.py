@@ -18,7 +18,7 @@ from mavproxy_fault.app.command_result import print_result
 from mavproxy_fault.app.recorder import Recorder
 from mavproxy_fault.app.resource_check import check_resources
 from mavproxy_fault.app.server import Server
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 from mavproxy_fault.links.bus import check_run_name
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.peers import Admission
@@ -127,14 +127,9 @@ def read_signing(args: argparse.Namespace) -> Signing | None:
     """
     if args.signing_key is None:
         return Signing(strip=True) if args.strip_signatures else None
-    try:
-        with open(args.signing_key) as file:
-            phrase = file.read(MOST_KEY_CHARACTERS).strip()  # a device file may be endless
-    except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", "not UTF-8")
-        raise ConfigError(
-            f"{args.signing_key}: cannot be read ({why}); give a file with the passphrase"
-        ) from None
+    where = f"{args.signing_key}: cannot be read"
+    with users_path(where, "give a file with the passphrase"), open(args.signing_key) as file:
+        phrase = file.read(MOST_KEY_CHARACTERS).strip()  # a device file may be endless
     return Signing(derive_key(phrase), strip=args.strip_signatures)
 
 

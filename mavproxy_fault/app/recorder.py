@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mavproxy_fault.documents.atomic_file import PRIVATE, create_file, write_all, write_atomic
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import users_path
 from mavproxy_fault.proxy.capture_buffer import CaptureBuffer
 from mavproxy_fault.wire.dialect_files import record_dialects
 
@@ -53,10 +53,8 @@ class Recorder:
         self._files: dict[str, FileIO] = {}
         self._labels: list[Label] = []
         self._edits: list[Edit] = []
-        try:
+        with users_path(folder, "give a folder that can be written to"):
             self._open()
-        except OSError as error:
-            raise ConfigError(f"{folder}: {error}; give a folder that can be written") from None
 
     def _open(self) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)

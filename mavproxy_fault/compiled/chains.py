@@ -204,13 +204,13 @@ def _damage(item: int, head: int, step: Any, count: int, p: k.Doubles, shared: S
         items[item, k.ALTERED] = k.DAMAGED
         return
     at, size = base, items[item, k.LENGTH_OF]
-    if whole and p[2] >= 0.0:
+    if whole and p[3] >= 0.0:
         at, size = base + head, i64(shared.work[base + 1])
     count = min(count, size)
     for n in range(2 * count):
         shared.draws[n] = _draw(entry)
     mix_bytes(shared.work, at, size, count, shared.draws)
-    items[item, k.ALTERED] = k.CHANGED if whole and p[2] > 0.0 else k.DAMAGED
+    items[item, k.ALTERED] = k.CHANGED if whole and p[3] > 0.0 else k.DAMAGED
 
 
 @kernel
@@ -240,7 +240,7 @@ def _act_on_frame(
     elif entry[k.EFFECT] == k.CUT or entry[k.EFFECT] == k.MIX:
         _damage(item, head, step, number, p, shared)
     else:
-        late_us = i64(p[2])
+        late_us = i64(p[3])
         for n in range(number):
             copy_bytes(work, item * k.SLOT, items[item, k.LENGTH_OF], work, count * k.SLOT)
             for column in range(3):

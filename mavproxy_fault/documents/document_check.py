@@ -17,6 +17,11 @@ from mavproxy_fault.documents.yaml_document import Document, Flaw, Lines, Path, 
 
 T = TypeVar("T")
 
+
+class Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Base of the sections of a file: unknown keys are errors."""
+
+
 NotFinite = Annotated[float, Meta(extra={"finite": False})]
 """A number that may be `.inf` or `.nan`, which any other number may not."""
 Positive = Annotated[float, Meta(gt=0)]

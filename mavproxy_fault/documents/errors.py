@@ -13,7 +13,7 @@ class ConfigError(ValueError):
 
 @contextmanager
 def users_path(where: object, cure: str) -> Iterator[None]:
-    """Report what the operating system refuses on a path that the user gave as a ConfigError.
+    """Report a path that the user gave and the system refuses, or no UTF-8 in it, as ConfigError.
 
     Raises
     ------
@@ -22,5 +22,6 @@ def users_path(where: object, cure: str) -> Iterator[None]:
     """
     try:
         yield
-    except OSError as error:
-        raise ConfigError(f"{where}: {error.strerror}; {cure}") from None
+    except (OSError, UnicodeDecodeError) as error:
+        why = getattr(error, "strerror", "not UTF-8")
+        raise ConfigError(f"{where}: {why}; {cure}") from None

@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 
 QGC_COLUMNS = 5  # QGroundControl's: vehicle, component, name, value, type
 
@@ -18,13 +18,8 @@ def read_parameters(file: str | None) -> dict[str, float]:
     """
     if file is None:
         return {}
-    try:
+    with users_path(f"--parameters: {file} cannot be read", "give a parameter file"):
         lines = Path(file).read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        why = getattr(error, "strerror", "not UTF-8")
-        raise ConfigError(
-            f"--parameters: {file} cannot be read ({why}); give a parameter file"
-        ) from None
     values: dict[str, float] = {}
     for number, line in enumerate(lines, 1):
         columns = line.partition("#")[0].replace(",", " ").split()

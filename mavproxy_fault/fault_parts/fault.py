@@ -50,9 +50,9 @@ class Fault(Protocol):
     `aliases` (further names) and `on_ranges`, true if its error does not depend on the healthy
     value, so that it accepts PSEUDORANGE targets too. `clock` is "link" if its times count in link
     time by default. A fault with a method `done(state)` ends
-    as soon as that returns true, before its `for_s`. One that buffers frames until others have
-    arrived has two more: `release_us(state)`, the due time of the oldest (None without one), and
-    `release(t_us, state)`, which returns all of them, to be sent now, and the state without them.
+    as soon as that returns true, before its `for_s`. `release(t_us, state)` returns what is to be
+    sent at its end, and the next state; one that buffers frames until others have arrived returns
+    all of them, and also has `release_us(state)`, the due time of the oldest (None without one).
     """
 
     acts_on: ClassVar[ActsOn]

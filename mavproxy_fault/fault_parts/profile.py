@@ -153,10 +153,11 @@ class Profile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
         return value if held else None
 
 
-def hold_live_value(memory: Memory | None, t_s: float, value: float) -> Memory:
-    """Return the memory of a live profile with its newest value and the time of that."""
+def hold_live_value(memory: Memory | None, start_us: int, t_us: int, value: float) -> Memory:
+    """Return the memory of a live profile with the value that arrived at `t_us`, by the time since
+    the start of the fault, which its timeout needs."""
     memory = memory or Memory(3)
-    memory.write([1.0, t_s, value])
+    memory.write([1.0, (t_us - start_us) / 1e6, value])
     return memory
 
 

@@ -136,7 +136,7 @@ class RuleLinkFault(LinkFault, frozen=True, kw_only=True):
         if self.effect == "delay":
             return [] if number == LOST else [delayed(frame, t_us, number)]
         if self.effect == "copies":
-            span_us = int(p[2])  # spread evenly
+            span_us = int(p[3])  # spread evenly
             copies = [delayed(frame, t_us, span_us * (n + 1) // number) for n in range(number)]
             return [Outgoing(t_us, frame), *copies]
         if not number:
@@ -198,8 +198,7 @@ class ProfiledLinkFault(RuleLinkFault, frozen=True, kw_only=True):
 
     def fed(self, state: Any, value: float, t_us: int) -> Any:
         """Return the state after a live value that arrived at `t_us`."""
-        t_s = (t_us - state.start_us) / 1e6
-        state.profile = hold_live_value(state.profile, t_s, value)
+        state.profile = hold_live_value(state.profile, state.start_us, t_us, value)
         return state
 
 

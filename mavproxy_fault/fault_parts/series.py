@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 from mavproxy_fault.documents.extras import import_extra
 
 MOST_READ = 16  # files kept in memory, which takes 16 bytes a row
@@ -53,12 +53,8 @@ def read_series(table: SeriesTable) -> Series:
     ConfigError
         If the file cannot be read, lacks a column, contains text, or its times go back.
     """
-    try:
+    with users_path(f"{table.file}: cannot be read", "give a CSV or Parquet file"):
         return _read(table, Path(table.file).stat().st_mtime_ns)
-    except OSError as error:
-        raise ConfigError(
-            f"{table.file}: cannot be read ({error}); give a CSV or Parquet file"
-        ) from None
 
 
 @lru_cache(MOST_READ)

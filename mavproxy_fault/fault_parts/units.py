@@ -22,6 +22,16 @@ SIZES: dict[str, tuple[str, float]] = {
     "A": ("current", 1.0), "cA": ("current", 1e2), "mA": ("current", 1e3),
     "degC": ("temperature", 1.0), "cdegC": ("temperature", 1e2),
 }  # fmt: skip
+LEVELS = ("constant", "saturate")  # faults whose value replaces that of the field
+# The unit of a fault's `value`, in which `field` is that of the field. The value of all others is a
+# share, a factor or a number of something.
+VALUE_UNITS = {
+    **dict.fromkeys(("bias", "noise", "sine", "impulse", "cycle", "quantise"), "field"),
+    **dict.fromkeys(("dead-band", *LEVELS), "field"), "random-walk": "field/√s",
+    "drift": "field/s", "slew-limit": "field/s",
+    "gps-spoof": "m", "rate-limit": "Hz", "time-drift": "s/s", "time-backwards": "s/s",
+    **dict.fromkeys(("delay", "jitter", "lag", "replay", "sample-hold", "time-jump"), "s"),
+}  # fmt: skip
 
 Factors = Mapping[int, tuple[float, ...]]
 

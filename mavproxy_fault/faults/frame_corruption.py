@@ -47,9 +47,9 @@ class Corrupt(ShareFault, frozen=True, kw_only=True):
             raise ValueError("part: frame damages the CRC too; leave out crc: redone")
 
     def numbers(self) -> Numbers:
-        """Return share, number of bytes, whether the CRC matches (-1: may change), correlation."""
+        """Return share, number of bytes, correlation, whether the CRC matches (-1: may change)."""
         crc = -1.0 if self.part == "frame" else float(self.crc == "redone")
-        return self.value, float(self.count), crc, self.correlation
+        return self.value, float(self.count), self.correlation, crc
 
     def outcome(
         self, frame: Frame | bytes, t_us: int, memory: Memory, rng: Generator
@@ -79,12 +79,9 @@ class Truncate(ShareFault, frozen=True, kw_only=True):
     name: ClassVar[str] = "truncate"
     example: ClassVar[dict[str, Any]] = {}
     effect: ClassVar[Effect] = "cut"
+    parameters: ClassVar[tuple[str, ...]] = ("value", "count", "correlation")
 
     count: Annotated[int, Meta(ge=1)] = 4
-
-    def numbers(self) -> Numbers:
-        """Return share, number of bytes, and correlation."""
-        return self.value, float(self.count), 0.0, self.correlation
 
 
 @link_rule

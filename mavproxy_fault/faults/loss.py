@@ -20,9 +20,9 @@ Correlation = Annotated[float, Meta(ge=0, lt=1)]
 
 @link_rule
 def choose_share(t_us: float, size: int, p: Numbers, m: Any, u: float, v: float) -> int:
-    """Return `p[1]` for a share of the frames, with the correlation `p[3]`."""
-    if p[3]:
-        u = repeated_draw(u, v, p[3], m[1:])
+    """Return `p[1]` for a share of the frames, with the correlation `p[2]`."""
+    if p[2]:
+        u = repeated_draw(u, v, p[2], m[1:])
     return int(p[1]) if p[0] >= 1.0 or u < p[0] else 0
 
 
@@ -44,7 +44,7 @@ class Drop(ProfiledLinkFault, frozen=True, kw_only=True):
 
     def numbers(self) -> Numbers:
         """Return share, what becomes of it, and correlation."""
-        return self.value or 0.0, float(LOST), 0.0, self.correlation
+        return self.value or 0.0, float(LOST), self.correlation
 
 
 @link_rule

@@ -73,11 +73,7 @@ class SimulatorFault(msgspec.Struct, frozen=True, kw_only=True):
 
     def fed(self, state: PlantFaultState, value: float, t_us: int) -> PlantFaultState:
         """Return the state after a live value that arrived at `t_us`."""
-        t_s = (t_us - state.start_us) / 1e6
-        return state._replace(inner=hold_live_value(state.inner, t_s, value))
-
-    def release_us(self, state: PlantFaultState) -> None:
-        """Return None: no frames are buffered."""
+        return state._replace(inner=hold_live_value(state.inner, state.start_us, t_us, value))
 
     def release(self, t_us: int, state: PlantFaultState) -> tuple[list[Outgoing], PlantFaultState]:
         """Restore the healthy values at the end."""

@@ -83,9 +83,8 @@ class ProfileFault(RuleFault, frozen=True, kw_only=True):
     def fed(self, state: ValueState, value: float, t_us: int) -> ValueState:
         """Return the state after a live value that arrived at `t_us`."""
         memory = None if state.inner is None else state.inner[()]
-        # With the time since the start, for the timeout of live profiles.
-        t_s = (t_us - state.start_us) / 1e6
-        return ValueState(state.start_us, {(): hold_live_value(memory, t_s, value)})
+        held = hold_live_value(memory, state.start_us, t_us, value)
+        return ValueState(state.start_us, {(): held})
 
 
 class Bias(ProfileFault, frozen=True, kw_only=True):

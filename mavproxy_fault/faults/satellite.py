@@ -168,8 +168,8 @@ class SatelliteFault(msgspec.Struct, frozen=True, kw_only=True):
     def fed(self, state: SatelliteFaultState, value: float, t_us: int) -> SatelliteFaultState:
         """The state after a live value that came at `t_us`."""
         memory = None if state.inner is None else state.inner[()]
-        t_s = (t_us - state.start_us) / 1e6
-        return state._replace(inner={(): hold_live_value(memory, t_s, value)})
+        held = hold_live_value(memory, state.start_us, t_us, value)
+        return state._replace(inner={(): held})
 
     def release_us(self, state: SatelliteFaultState) -> int | None:
         """Return when the oldest incomplete message must be sent."""

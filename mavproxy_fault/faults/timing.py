@@ -262,6 +262,6 @@ class Duplicate(ShareFault, frozen=True, kw_only=True):
     by_s: Seconds = 0.0
 
     def numbers(self) -> Numbers:
-        """Return share, number of copies, the delay of the last one, and correlation."""
+        """Return share, number of copies, correlation, and the delay of the last one."""
         late_us = float(round(self.by_s * 1e6))
-        return self.value, float(self.copies), late_us, self.correlation
+        return self.value, float(self.copies), self.correlation, late_us

@@ -139,9 +139,6 @@ class VehicleCommand(msgspec.Struct, frozen=True, kw_only=True):
             return []
         return [(TAKE_OFF, (*height, field_m + self.height_m))]
 
-    def release_us(self, state: CommandState) -> None:
-        """Return None: no frames are buffered."""
-
     def release(self, t_us: int, state: CommandState) -> tuple[list[Outgoing], CommandState]:
         """Send the command with the params `afterwards` at the end, if they are given."""
         if self.number is None or self.afterwards is None or not state.granted:

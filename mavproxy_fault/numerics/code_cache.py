@@ -32,6 +32,8 @@ IMPORTED = re.compile(
 # name in backquotes, which never follow the end of a string.
 SILENT = re.compile(rb'^[ \t]*(?:#.*|"""(?=[A-Z`])(?s:.*?)""")?\n', re.MULTILINE)
 DAY_S = 86_400.0
+PROGRESS = "progress"  # the file that is touched when a function begins to be compiled
+IDLE_S = 60.0  # longer than any function takes to compile
 STALE_S = 7 * DAY_S  # unused for a week: an update's, or an edit's
 
 
@@ -118,6 +120,14 @@ def is_usable(path: Path) -> bool:
 def kernels() -> Path:
     """The folder of all modules' folders."""
     return place() / "kernels"
+
+
+def compiled_last_s() -> float:
+    """Unix time at which a function last began to be compiled with this cache, or the one 2 s
+    before it; 0 if unknown."""
+    with suppress(OSError):
+        return (kernels() / PROGRESS).stat().st_mtime
+    return 0.0
 
 
 @cache

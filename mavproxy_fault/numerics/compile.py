@@ -24,7 +24,7 @@ from numba.core.types import Dispatcher
 
 from mavproxy_fault.documents.atomic_file import write_atomic
 from mavproxy_fault.numerics.baseline import BASELINE
-from mavproxy_fault.numerics.code_cache import alone, kernels, module_folders
+from mavproxy_fault.numerics.code_cache import IDLE_S, PROGRESS, alone, kernels, module_folders
 
 LOG = logging.getLogger(__name__)
 
@@ -37,7 +37,6 @@ LEVEL = type(config.OPT)(1)
 _OPTIONS = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 REPORT_PERIOD_S = 2.0  # most functions take less: no silence of more than 5 s
-IDLE_S = 60.0  # longer than any function takes
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -106,7 +105,7 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
 
 def _announce(name: str) -> None:
     """Report progress, one line for all processes that compile at the same time."""
-    shared = kernels() / "progress"
+    shared = kernels() / PROGRESS
     now_s = time.time()
     with suppress(OSError):  # nowhere to write to: each process reports for itself
         kernels().mkdir(parents=True, exist_ok=True)

@@ -5,15 +5,14 @@ rad, heights above the ellipsoid in m. Functions work on the last axis of arrays
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.constants import (
     WGS84_ECCENTRICITY2,
     WGS84_FLATTENING,
     WGS84_SEMI_MAJOR_M,
 )
-
-Array = NDArray[np.float64]
 
 SEMI_MINOR_M = WGS84_SEMI_MAJOR_M * (1.0 - WGS84_FLATTENING)
 _GRAVITY_EQUATOR_MPS2 = 9.7803253359

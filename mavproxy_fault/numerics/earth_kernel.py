@@ -5,12 +5,11 @@ from math import cos, sin
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mavproxy_fault.numerics import earth
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 
-Vector = NDArray[np.float64]
 _Coordinates = Callable[[float, float, float], tuple[float, float, float]]
 
 # The formulas accept scalars and arrays, so they only need compiling.
@@ -19,13 +18,13 @@ ecef_of = cast(_Coordinates, inlined(earth.ecef_of))
 
 
 @compiled
-def geodetic_position(r_ecef_m: Vector) -> tuple[float, float, float]:
+def geodetic_position(r_ecef_m: Array) -> tuple[float, float, float]:
     """Convert an ECEF position (3,) [m] to latitude, longitude [rad] and height [m]."""
     return geodetic_of(r_ecef_m[0], r_ecef_m[1], r_ecef_m[2])
 
 
 @compiled
-def ned_axes(lat_rad: float, lon_rad: float) -> Vector:
+def ned_axes(lat_rad: float, lon_rad: float) -> Array:
     """Return the matrix (3, 3) whose rows are north, east and down in ECEF axes."""
     sl, cl = sin(lat_rad), cos(lat_rad)
     so, co = sin(lon_rad), cos(lon_rad)
@@ -36,7 +35,7 @@ def ned_axes(lat_rad: float, lon_rad: float) -> Vector:
     return out
 
 
-def local_axes(r_ecef_m: Vector) -> Vector:
+def local_axes(r_ecef_m: Array) -> Array:
     """Return `ned_axes` (3, 3) at an ECEF position (3,) [m]."""
     lat_rad, lon_rad, _ = geodetic_position(r_ecef_m)
     return ned_axes(lat_rad, lon_rad)

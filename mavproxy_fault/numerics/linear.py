@@ -1,15 +1,13 @@
 """Small dense linear algebra for the kernels, as plain loops that compile fast."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled
-
-Vector = NDArray[np.float64]
 
 
 @compiled
-def multiply_matrices(a: Vector, b: Vector) -> Vector:
+def multiply_matrices(a: Array, b: Array) -> Array:
     """Return the product a b (n, m) of a (n, k) and b (k, m)."""
     out = np.zeros((a.shape[0], b.shape[1]))
     for i in range(a.shape[0]):
@@ -21,7 +19,7 @@ def multiply_matrices(a: Vector, b: Vector) -> Vector:
 
 
 @compiled
-def invert_positive_definite(s: Vector) -> Vector:
+def invert_positive_definite(s: Array) -> Array:
     """Invert a positive definite matrix (n, n) by Gauss-Jordan elimination; NaN if it is not."""
     out = s.copy()
     for k in range(out.shape[0]):

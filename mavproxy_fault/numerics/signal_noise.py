@@ -9,11 +9,9 @@ References
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
-
-Vector = NDArray[np.float64]
 
 # The code rate of C/A and E1.
 CHIP_M = SPEED_OF_LIGHT_MPS / 1.023e6
@@ -24,16 +22,16 @@ FREQUENCY_LOOP_HZ = 2.0
 INTEGRATION_S = 0.02
 
 
-def code_sigma_m(cn0_dbhz: Vector) -> Vector:
+def code_sigma_m(cn0_dbhz: Array) -> Array:
     """Return the thermal noise [m] of the pseudorange [1]_ for a C/N0 (scalar or (n,))."""
     ratio = 10.0 ** (cn0_dbhz / 10.0)
-    sigma: Vector = CHIP_M * np.sqrt(CORRELATOR_CHIPS * CODE_LOOP_HZ / (2.0 * ratio))
+    sigma: Array = CHIP_M * np.sqrt(CORRELATOR_CHIPS * CODE_LOOP_HZ / (2.0 * ratio))
     return sigma
 
 
-def rate_sigma_mps(cn0_dbhz: Vector) -> Vector:
+def rate_sigma_mps(cn0_dbhz: Array) -> Array:
     """Return the thermal noise [m/s] of the range rate [1]_ for a C/N0 (scalar or (n,))."""
     ratio = 10.0 ** (cn0_dbhz / 10.0)
     scale = L1_WAVE_M / (2.0 * math.pi * INTEGRATION_S)
-    sigma: Vector = scale * np.sqrt(4.0 * FREQUENCY_LOOP_HZ / ratio)
+    sigma: Array = scale * np.sqrt(4.0 * FREQUENCY_LOOP_HZ / ratio)
     return sigma

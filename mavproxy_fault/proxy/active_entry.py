@@ -105,7 +105,8 @@ class ActiveEntry:
             entry.fault, "takes_unknown", self.takes_bytes
         )
         self.takes_sealed = getattr(entry.fault, "takes_sealed", False)
-        self.buffers = hasattr(entry.fault, "release")
+        self.buffers = hasattr(entry.fault, "release_us")
+        self._releases = hasattr(entry.fault, "release")
         self.ends_itself = hasattr(entry.fault, "done")
         self.keeps_back = getattr(entry.fault, "keeps_back", False)
         codes = {e.code for row in getattr(entry.fault, "elements", {}).values() for e in row}
@@ -299,18 +300,16 @@ class ActiveEntry:
         return sends
 
     def release_us(self) -> int:
-        """Time at which the fault must release its oldest buffered frame."""
-        if not self.buffers:
-            return NEVER_US
+        """Time at which a fault that buffers frames must release the oldest."""
         times = [self.fault.release_us(state) for state in self.states.values()]
         return min((time for time in times if time is not None), default=NEVER_US)
 
     def release(self, t_us: int, *, overdue: bool) -> list[Outgoing]:
-        """Release the fault's buffered frames: all, or only of directions that are overdue."""
+        """Release what the fault keeps: all, or the buffered frames of directions overdue."""
         sends: list[Outgoing] = []
-        for direction, state in self.states.items() if self.buffers else ():
-            until_us = self.fault.release_us(state)
-            if not overdue or (until_us is not None and until_us <= t_us):
+        for direction, state in self.states.items() if self._releases else ():
+            until_us = self.fault.release_us(state) if overdue else t_us
+            if until_us is not None and until_us <= t_us:
                 released, self.states[direction] = self.fault.release(t_us, state)
                 sends += released
         return sends

@@ -379,15 +379,12 @@ class Engine:
                 running = ActiveEntry(one, self.seed, self._now(one), self.t0_us, injected=True)
                 self._all.append(running)
             self._advance()
-            self._drop_ended()
+            # Ended ones are removed, except the latest, which a page may show.
+            ended = [running for running in self._all if running.injected and running.done]
+            for running in ended[:-MAX_ENDED_FAULTS]:
+                self._all.remove(running)
         self._update_wanted()
         return [one.id for one in entries]
-
-    def _drop_ended(self) -> None:
-        """Remove ended injected faults, except the latest, which a page may show."""
-        ended = [running for running in self._all if running.injected and running.done]
-        for running in ended[: -MAX_ENDED_FAULTS or None]:
-            self._all.remove(running)
 
     def clear(self, id: str) -> bool:
         """End and remove a fault with its parts, or `all`; return whether there was one."""

@@ -12,7 +12,7 @@ from array import array
 from functools import cache
 
 from mavproxy_fault.proxy.sender_rules import read_target, select_links
-from mavproxy_fault.proxy.senders import LINKS, SYSTEM_LINKS, new_senders
+from mavproxy_fault.proxy.senders import LINKS, SYSTEM_LINKS
 from mavproxy_fault.wire.dialect import find_layout
 from mavproxy_fault.wire.frame import Frame
 from mavproxy_fault.wire.signing import SETUP_SIGNING
@@ -36,15 +36,13 @@ def target_offsets(name: str) -> tuple[int, int]:
 class Routes:
     """The links each sender was heard on, in the senders array shared with the compiled path."""
 
-    def __init__(
-        self, link_count: int, senders: "array[int] | None" = None, vehicle_links: int = 0
-    ) -> None:
+    def __init__(self, link_count: int, senders: "array[int]", vehicle_links: int) -> None:
         self.all_links = (1 << link_count) - 1
         self.vehicle_links = vehicle_links
         self.home_links: dict[
             tuple[int, int], int
         ] = {}  # the link each component was first heard on
-        self._senders = new_senders() if senders is None else senders
+        self._senders = senders
 
     def note_sender(self, system: int, component: int, link: int) -> bool:
         """Record that a sender was heard on a link; True if it was also heard on others."""

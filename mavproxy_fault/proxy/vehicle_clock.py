@@ -49,8 +49,8 @@ def stamp_us(frame: Frame) -> int:
 class VehicleClock:
     """The timeline, in the senders array shared with the compiled path."""
 
-    def __init__(self, senders: "array[int] | None" = None) -> None:
-        self._senders = new_senders() if senders is None else senders
+    def __init__(self, senders: "array[int]") -> None:
+        self._senders = senders
 
     @property
     def t0_us(self) -> int | None:

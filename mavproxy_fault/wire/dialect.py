@@ -12,7 +12,7 @@ References
 import json
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -42,7 +42,8 @@ class Field:
     """One field: `count` is 0 for a scalar, otherwise the array length; `offset` is in bytes.
 
     `code`, `packer` and `size` are the `struct` code, `Struct` and byte size of one element;
-    `length` is the byte size of the entire field.
+    `length` is the byte size of the entire field. They are kept, so that reading a value needs no
+    lookups.
     """
 
     name: str
@@ -51,19 +52,10 @@ class Field:
     unit: str
     extension: bool
     offset: int
-    code: str = field(init=False)
-    packer: struct.Struct = field(init=False, compare=False, repr=False)
-    size: int = field(init=False)
-    length: int = field(init=False)
-
-    def __post_init__(self) -> None:
-        code = CODES[self.type]
-        size = PACKERS[code].size
-        # Cached in the frozen object so that reading a value needs no lookups.
-        object.__setattr__(self, "code", code)
-        object.__setattr__(self, "packer", PACKERS[code])
-        object.__setattr__(self, "size", size)
-        object.__setattr__(self, "length", size * max(self.count, 1))
+    code: str
+    packer: struct.Struct
+    size: int
+    length: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,9 +107,13 @@ def find_layout(key: str | int) -> Layout | None:
     fields = {}
     offset = base_length = 0
     for field_name, type_name, count, unit, extension in entry["fields"]:
-        one = Field(field_name, type_name, count, unit, extension, offset)
-        fields[field_name] = one
-        offset += one.length
+        code = CODES[type_name]
+        packer = PACKERS[code]
+        length = packer.size * max(count, 1)
+        fields[field_name] = Field(
+            field_name, type_name, count, unit, extension, offset, code, packer, packer.size, length
+        )
+        offset += length
         # Extensions come last, so the MAVLink 1 payload ends before the first of them.
         if not extension:
             base_length = offset

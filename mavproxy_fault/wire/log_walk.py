@@ -51,10 +51,12 @@ class LogMessages(NamedTuple):
 
 
 class LogFrames(NamedTuple):
-    """Frames of a log: where each starts, its stamp in microseconds and its slot, shape (n,)."""
+    """Frames of a log: where each starts, its stamp in microseconds, where it ends and its slot,
+    shape (n,)."""
 
     at: Integers
     t_us: Integers
+    end: Integers
     slot: NDArray[np.int16]
 
 
@@ -128,7 +130,7 @@ def walk(data: Bytes, start: int, messages: LogMessages, frames: LogFrames) -> t
             continue
         stamped = probe - 8 >= previous
         junk += probe - 8 - previous if stamped else probe - previous
-        frames.at[found], frames.slot[found] = probe, slot
+        frames.at[found], frames.end[found], frames.slot[found] = probe, end, slot
         frames.t_us[found] = big_endian64(base + probe - 8) if stamped else np.int64(-1)
         found += 1
         previous, probe = end, end + 8
@@ -186,7 +188,7 @@ def scatter(
     """
     source = data.ctypes.data
     target = rows.ctypes.data
-    at, t_us, slot = frames.at, frames.t_us, frames.slot
+    at, t_us, _, slot = frames
     size = data.shape[0]
     for i in range(at.shape[0]):
         which = slot[i]

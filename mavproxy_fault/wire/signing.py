@@ -66,14 +66,6 @@ def next_cell(streams: MutableSequence[int], sender: int, link_id: int, stamp: i
     return cell if cell >= 0 and stamp >= streams[cell] else -1
 
 
-def sign_frame(frame: Frame, key: bytes, link_id: int, stamp: int) -> Frame:
-    """Sign an unsigned MAVLink 2 frame; `stamp` is in units of 10 us since 2015-01-01."""
-    raw = frame.raw[:2] + bytes((frame.raw[2] | SIGNED,)) + frame.raw[3:-2]
-    raw += checksum(raw[1:], frame.layout.crc_extra)
-    raw += bytes((link_id,)) + stamp.to_bytes(6, "little")
-    return Frame(raw + _digest(key, raw + bytes(DIGEST_LENGTH)), frame.layout)
-
-
 def strip_signature(frame: Frame) -> Frame:
     """Remove a frame's signature: clear the flag, drop 13 bytes, recompute the CRC."""
     raw = frame.raw[:2] + bytes((frame.raw[2] & ~SIGNED,)) + frame.raw[3 : -SIGNATURE_LENGTH - 2]

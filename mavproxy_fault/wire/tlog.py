@@ -23,14 +23,7 @@ from numpy.typing import NDArray
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.crc import SLICES, slicing_tables
 from mavproxy_fault.wire.dialect import Layout, message_layout, message_names
-from mavproxy_fault.wire.frame import (
-    HEADER_V1,
-    HEADER_V2,
-    SIGNATURE_LENGTH,
-    SIGNED,
-    Frame,
-    frame_header,
-)
+from mavproxy_fault.wire.frame import HEADER_V1, HEADER_V2, Frame, frame_header
 from mavproxy_fault.wire.written import written_bytes
 
 if TYPE_CHECKING:  # numba is loaded only when a log is read
@@ -142,11 +135,12 @@ def _blocks(data: NDArray[np.uint8], count: int) -> Iterator[_Block]:
 
     end = 0
     while end < len(data):
-        at, t_us = np.empty(count, np.int64), np.empty(count, np.int64)
-        slot = np.empty(count, np.int16)
-        found, end, junk_bytes = walk(data, end, _messages(), LogFrames(at, t_us, slot))
-        repair_stamps(t_us[:found])
-        yield LogFrames(at[:found], t_us[:found], slot[:found]), end, junk_bytes
+        kinds = (np.int64, np.int64, np.int64, np.int16)
+        room = LogFrames._make(np.empty(count, kind) for kind in kinds)
+        found, end, junk_bytes = walk(data, end, _messages(), room)
+        frames = LogFrames._make(column[:found] for column in room)
+        repair_stamps(frames.t_us)
+        yield frames, end, junk_bytes
         # Pages that were read count as memory of the process until they are given back.
         if isinstance(data.base, mmap.mmap):
             data.base.madvise(mmap.MADV_DONTNEED)
@@ -190,7 +184,7 @@ def _columns(
 
 
 def _frames(data: NDArray[np.uint8], some: "LogFrames") -> NDArray[np.void]:
-    at, t_us, slot = some
+    at, t_us, _, slot = some
     second = data[at] == 0xFD
     frames = np.empty(len(at), FRAMES)
     frames["t_us"] = t_us
@@ -226,24 +220,16 @@ def _log(data: NDArray[np.uint8], block: _Block) -> Log:
     known, end, junk = block
     frames = _frames(data, known)
     # Only as far as the block goes, not to the end of the log.
-    others = _foreign_frames(data[:end], known.at, frames)
+    others = _foreign_frames(data[:end], known, frames)
     if len(others.at):
-        junk -= int((_frame_ends(data, others.at) - others.at).sum()) + 8 * len(others.at)
+        junk -= int((others.end - others.at).sum()) + 8 * len(others.at)
         order = np.argsort(np.concatenate([known.at, others.at]), kind="stable")
         frames = np.concatenate([frames, _frames(data, others)])[order]
     return Log(_columns(data, known), frames, junk, len(data), end)
 
 
-def _frame_ends(data: NDArray[np.uint8], at: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where the frames that start at `at` (n,) end by their own length."""
-    second = data[at] == 0xFD
-    signed = second & (data[at + 2] & SIGNED == SIGNED)
-    ends = at + data[at + 1] + np.where(second, HEADER_V2 + 2, HEADER_V1 + 2)
-    return np.asarray(ends + np.where(signed, SIGNATURE_LENGTH, 0), np.int64)
-
-
 def _foreign_frames(
-    data: NDArray[np.uint8], at: NDArray[np.int64], frames: NDArray[np.void]
+    data: NDArray[np.uint8], known: "LogFrames", frames: NDArray[np.void]
 ) -> "LogFrames":
     """Records of another dialect, which uses a known message id for another message.
 
@@ -252,22 +238,22 @@ def _foreign_frames(
     """
     from mavproxy_fault.wire.log_walk import LogFrames
 
-    ends = _frame_ends(data, at)
-    begins = np.append(at[1:] - 8, len(data))
-    found: list[int] = []
-    for gap in np.flatnonzero(begins - ends > HEADER_V1 + 10).tolist():
+    begins = np.append(known.at[1:] - 8, len(data))
+    found: list[tuple[int, int]] = []
+    for gap in np.flatnonzero(begins - known.end > HEADER_V1 + 10).tolist():
+        first = int(known.end[gap])
         # Plain bytes: a log may have millions of such records.
-        raw, place, some = data[ends[gap] : begins[gap]].tobytes(), 8, []
+        raw, place, some = data[first : begins[gap]].tobytes(), 8, []
         while place + HEADER_V2 < len(raw) and raw[place] in (0xFD, 0xFE):
-            some.append(int(ends[gap]) + place)
             _, _, end = frame_header(raw, place, len(raw))
-            place = (end or place) + 8
+            some.append((first + place, first + end))
+            place = end + 8
         found += some if place == len(raw) + 8 else []
-    places = np.array(found, np.int64)
-    stamps = data[places[:, None] - np.arange(8, 0, -1)].view(">i8")[:, 0].astype(np.int64)
-    others = LogFrames(places, stamps, np.full(len(places), -1, np.int16))
+    at, ends = np.array(found, np.int64).reshape(-1, 2).T
+    stamps = data[at[:, None] - np.arange(8, 0, -1)].view(">i8")[:, 0].astype(np.int64)
+    others = LogFrames(at, stamps, ends, np.full(len(at), -1, np.int16))
     foreign = ~np.isin(_frames(data, others)["id"], frames["id"][frames["known"]])
-    return LogFrames(places[foreign], stamps[foreign], others.slot[foreign])
+    return LogFrames._make(column[foreign] for column in others)
 
 
 def read_columns(path: str | Path, only: Collection[str] | None = None) -> Columns:
@@ -324,8 +310,7 @@ def read_records(path: str | Path) -> Iterator[tuple[int, bytes, Layout | None]]
     data = map_bytes(Path(path))
     layouts = [message_layout(name) for name in message_names()]
     for frames, *_ in _blocks(data, BLOCK_FRAMES):
-        rows = (*frames[:2], _frame_ends(data, frames.at), frames.slot)
-        for start, stamp, end, which in zip(*(one.tolist() for one in rows), strict=True):
+        for start, stamp, end, which in zip(*(one.tolist() for one in frames), strict=True):
             layout = layouts[which] if which >= 0 else None
             yield stamp, data[start:end].tobytes(), layout
 

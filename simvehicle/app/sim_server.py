@@ -8,14 +8,13 @@ vehicle and its mission at any time; without `--gcs` the scenario ends at `durat
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, closing
 from typing import Any
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.links.descriptors import wait_until_readable
 from mavproxy_fault.links.inbox import Inbox
-from mavproxy_fault.links.joined import JoinedLinks
 from mavproxy_fault.links.link import Link
 from mavproxy_fault.links.spec import open_link, parse_spec
 from simvehicle.app.battery_warnings import BatteryWarnings
@@ -64,11 +63,8 @@ def main(args: argparse.Namespace) -> int:
     simulation = Simulation(scenario, args.seed)
     progress = Progress(time.monotonic())
     with ExitStack() as links:
-        hil, *stations = (
-            links.enter_context(closing(open_link(text, bare_udp="udpout"))) if text else None
-            for text in (args.hil, *args.gcs)
-        )
-        gcs = JoinedLinks([link for link in stations if link]) if stations else None
+        hil = links.enter_context(_opened(args.hil)) if args.hil else None
+        gcs = [links.enter_context(_opened(text)) for text in args.gcs]
         try:
             if served and hil is not None:
                 return _serve(simulation, hil, progress, None if real_time else speed)
@@ -82,6 +78,10 @@ def main(args: argparse.Namespace) -> int:
         # Also after Ctrl-C: the summary says how far the flight got.
         finally:
             progress.end(simulation.truth.t_us, time.monotonic())
+
+
+def _opened(text: str) -> closing[Link]:
+    return closing(open_link(text, bare_udp="udpout"))
 
 
 def check_sensors(scenario: Scenario) -> None:
@@ -134,8 +134,10 @@ class FreeLoop:
     Parameters
     ----------
     simulation : Simulation
-    hil, gcs : Link or None
-        The link for HIL frames, and the link to a ground station.
+    hil : Link or None
+        The link for HIL frames.
+    gcs : sequence of Link
+        The links to ground stations.
     speed : float
         Multiple of real time; infinite for as fast as possible.
     """
@@ -144,7 +146,7 @@ class FreeLoop:
         self,
         simulation: Simulation,
         hil: Link | None,
-        gcs: Link | None,
+        gcs: Sequence[Link],
         speed: float,
         progress: Progress,
         clock: Callable[[], float] = time.monotonic,
@@ -155,7 +157,7 @@ class FreeLoop:
         self._changes = PlantChanges(simulation.plant, progress.say)
         self._battery = BatteryWarnings(progress.say)
         self._packer = HilPacker(simulation.board, mav_type=mav_type_and_mix(simulation)[0])
-        self._gcs = Inbox(gcs) if gcs else None
+        self._stations = [Inbox(link) for link in gcs]
         self._services: AutopilotLink | None = None
         self._pilot: Pilot | None = None
         if gcs:
@@ -163,7 +165,7 @@ class FreeLoop:
         self._pace = Pace(speed)
         self._progress = progress
         self._clock = clock
-        self._links = [link for link in (hil, gcs) if link is not None]
+        self._links = [*gcs] if hil is None else [hil, *gcs]
 
     def run(self, until_us: int | None) -> None:
         """Step until `until_us`, or endlessly with None."""
@@ -188,19 +190,20 @@ class FreeLoop:
             for frame in self._hil.frames():
                 # Plant faults arrive on the HIL link.
                 self._changes.carry_out(frame)
-        if self._gcs and self._services:
-            link = self._gcs.link
+        if self._services:
             answers = [
                 raw
-                for frame in self._gcs.frames()
+                for station in self._stations
+                for frame in station.frames()
                 for raw in self._services.received(frame, self.t_us)
             ]
             # Answers go out before telemetry, so that a command is acknowledged at once.
             answers += self._services.tick(
                 self.t_us, truth, readings, throttle_command(self._simulation)
             )
-            for raw in answers:
-                link.write(raw)
+            for station in self._stations:
+                for raw in answers:
+                    station.link.write(raw)
 
 
 def throttle_command(simulation: Any) -> float:

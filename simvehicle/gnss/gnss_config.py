@@ -8,13 +8,12 @@ import math
 from datetime import datetime
 from typing import Annotated, Literal
 
-import msgspec
 from msgspec import Meta
 
-from mavproxy_fault.documents.document_check import NotNegative
+from mavproxy_fault.documents.document_check import NotNegative, Section
 
 
-class ClockConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ClockConfig(Section, frozen=True):
     """The receiver's clock: two states driven by white noise.
 
     `offset_s` and `drift` are the standard deviations of the initial values. `h0_s` and `h2_hz` are
@@ -31,7 +30,7 @@ class ClockConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     galileo_offset_m: float = 1.5
 
 
-class ReceiverConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class ReceiverConfig(Section, frozen=True):
     """How the receiver acquires and loses satellites.
 
     After a `hot` start the receiver has all ephemerides and tracks every signal at power-on. After
@@ -56,7 +55,7 @@ class ReceiverConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
             )
 
 
-class GnssConfig(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class GnssConfig(Section, frozen=True):
     """Satellites and errors of the measurements.
 
     Parameters

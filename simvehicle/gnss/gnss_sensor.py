@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.rinex.gps_clock import normalized
 from mavproxy_fault.rtcm.ephemeris_messages import encode_ephemeris
 from mavproxy_fault.wire.plant_names import GROUPS, SATELLITE, SPOOF
@@ -38,8 +39,6 @@ from simvehicle.gnss.tracking import (
 from simvehicle.sensors.readings import EphemerisReading, GpsReading, PseudorangeReading, Reading
 from simvehicle.vehicles.body import Truth
 
-Vector = NDArray[np.float64]
-
 S_PER_US = 1e-6
 BROADCAST_US = 30_000_000  # interval at which an ephemeris is repeated, as in the GPS message
 LOST_ROW = 2  # the row of `SignalFaults.signals`, which are in the order of `SATELLITE`
@@ -54,8 +53,8 @@ class SignalFaults(msgspec.Struct, frozen=True):
     offset north, east and down and the spoofed delay [m]. `off` is not 0 while the receiver is off.
     """
 
-    signals: Vector
-    spoof: Vector
+    signals: Array
+    spoof: Array
     off: float = 0.0
 
 
@@ -81,14 +80,14 @@ class GnssState(msgspec.Struct, frozen=True):
 
     t_us: int | None
     clock: ReceiverClock
-    wander: Vector
-    search_s: Vector
-    message_s: Vector
+    wander: Array
+    search_s: Array
+    message_s: Array
     broadcast: Broadcast
     tracking: Tracking
     sent_us: Stamps
     faults: SignalFaults
-    last_spoof: Vector
+    last_spoof: Array
     fix: ReceiverFix = NO_FIX
 
 
@@ -114,11 +113,6 @@ class GnssSensor:
         klobuchar = np.array(self.constellation.klobuchar)
         coefficients = klobuchar if self.config.ionosphere else NO_COEFFICIENTS
         return Atmosphere(coefficients, self.config.troposphere)
-
-    @cached_property
-    def _wander_s(self) -> Vector:
-        """Correlation times (3, 1) of multipath, orbit and C/N0."""
-        return np.array([[self.config.multipath_s], [self.config.orbit_s], [CN0_CORRELATION_S]])
 
     @cached_property
     def _unsent(self) -> Stamps:
@@ -227,8 +221,8 @@ class GnssSensor:
         return replace(state, faults=replace(faults, **{field: changed}))
 
     def _signals(
-        self, truth: Truth, tow_s: float, state: GnssState, noise: Vector, step_s: float
-    ) -> Vector:
+        self, truth: Truth, tow_s: float, state: GnssState, noise: Array, step_s: float
+    ) -> Array:
         """The signals at the antenna when the receiver's clock shows `tow_s`, as rows (4, n).
 
         A spoofed signal is replaced by that of the spoofed position and time.
@@ -243,7 +237,7 @@ class GnssSensor:
                 out[RATE, own] = spoofed[RATE, own] + spoof.offset_mps[DELAY]
         return out
 
-    def _received(self, where: Vector, tow_s: float, state: GnssState, noise: Vector) -> Vector:
+    def _received(self, where: Array, tow_s: float, state: GnssState, noise: Array) -> Array:
         """The signals at a position: latitude, longitude, height and velocity NED (6,)."""
         return simulate_signals(
             state.broadcast.orbits.table,
@@ -284,15 +278,17 @@ class GnssSensor:
         if state.t_us is None:
             return replace(state, t_us=t_us)
         step_s = (t_us - state.t_us) * S_PER_US
+        # Of multipath, orbit and C/N0.
+        lasts_s = np.array([[config.multipath_s], [config.orbit_s], [CN0_CORRELATION_S]])
         return replace(
             state,
             t_us=t_us,
             clock=step_clock(state.clock, config.clock, step_s, draws[:2]),
-            wander=step_gauss_markov(state.wander, self._wander_s, step_s, draws[2:].reshape(3, n)),
+            wander=step_gauss_markov(state.wander, lasts_s, step_s, draws[2:].reshape(3, n)),
         )
 
     def _tracking(
-        self, elevation_rad: Vector, cn0_dbhz: Vector, state: GnssState, t_us: int
+        self, elevation_rad: Array, cn0_dbhz: Array, state: GnssState, t_us: int
     ) -> Tracking:
         """The receiver's tracking of the signals above the elevation mask and C/N0 threshold."""
         receiver = self.config.receiver
@@ -325,9 +321,9 @@ class GnssSensor:
         t_us: int,
         tow_s: float,
         pick: NDArray[np.intp],
-        code: Vector,
-        rate: Vector,
-        cn0: Vector,
+        code: Array,
+        rate: Array,
+        cn0: Array,
     ) -> PseudorangeReading:
         return PseudorangeReading(
             t_us,

@@ -13,15 +13,13 @@ from math import asin, atan2, cos, pi, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth_kernel import geodetic_of
 from simvehicle.gnss.satellite_orbits import satellite_state
 from simvehicle.gnss.signal_delays import ionosphere_m, troposphere_m
-
-Vector = NDArray[np.float64]
 
 FLIGHT_TIME_S = 0.075  # typical; initial value of the iteration
 NO_COEFFICIENTS = np.zeros(0)
@@ -37,19 +35,19 @@ class Atmosphere(NamedTuple):
     """Atmospheric delays: Klobuchar's coefficients (8,), none without an ionosphere, and whether
     the troposphere acts."""
 
-    coefficients: Vector
+    coefficients: Array
     troposphere: bool
 
 
 @compiled
 def signal_geometry(
-    table: Vector,
+    table: Array,
     tow_s: float,
-    r_ecef_m: Vector,
-    v_ecef_mps: Vector,
-    coefficients: Vector,
+    r_ecef_m: Array,
+    v_ecef_mps: Array,
+    coefficients: Array,
     troposphere: bool,
-) -> Vector:
+) -> Array:
     """The signals of n satellites received at GPS time `tow_s`, as rows (10, n).
 
     Range [m] and its rate [m/s], satellite clock error [s] and its rate, elevation and azimuth

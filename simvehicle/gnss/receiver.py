@@ -9,8 +9,8 @@ import math
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
 from simvehicle.gnss.pseudorange import (
@@ -25,8 +25,6 @@ from simvehicle.gnss.pseudorange import (
     signal_geometry,
 )
 from simvehicle.gnss.satellite_orbits import Orbits, satellite_state
-
-Vector = NDArray[np.float64]
 
 EARTH_RADIUS_M = 6.37e6
 STILL = np.zeros(3)
@@ -52,13 +50,13 @@ class ReceiverFix(msgspec.Struct, frozen=True):
 
     fix_type: int
     satellites: int
-    r_ecef_m: Vector
+    r_ecef_m: Array
     lat_rad: float
     lon_rad: float
     height_m: float
-    v_ned_mps: Vector
-    clock_m: Vector
-    sigma_ned_m: Vector
+    v_ned_mps: Array
+    clock_m: Array
+    sigma_ned_m: Array
 
 
 NO_FIX = ReceiverFix(0, 0, STILL, 0.0, 0.0, 0.0, STILL, np.zeros(0), np.full(3, np.inf))
@@ -67,8 +65,8 @@ NO_FIX = ReceiverFix(0, 0, STILL, 0.0, 0.0, 0.0, STILL, np.zeros(0), np.full(3, 
 def solve_receiver_fix(
     orbits: Orbits,
     tow_s: float,
-    pseudorange_m: Vector,
-    doppler_mps: Vector,
+    pseudorange_m: Array,
+    doppler_mps: Array,
     atmosphere: Atmosphere,
     last: ReceiverFix = NO_FIX,
 ) -> ReceiverFix:
@@ -127,12 +125,12 @@ def solve_receiver_fix(
 
 
 def _linearised(
-    geometry: Vector,
-    pseudorange_m: Vector,
-    clocks: Vector,
-    x: Vector,
+    geometry: Array,
+    pseudorange_m: Array,
+    clocks: Array,
+    x: Array,
     height: tuple[float, float] | None,
-) -> tuple[Vector, Vector, Vector]:
+) -> tuple[Array, Array, Array]:
     """Design matrix, residuals and square roots of the weights of the ranges at x, and of an
     assumed height with its sigma."""
     model_m = geometry[RANGE] - SPEED_OF_LIGHT_MPS * geometry[SAT_CLOCK] + geometry[DELAY]
@@ -149,7 +147,7 @@ def _linearised(
     return np.vstack([design, up]), residual, np.append(root, 1.0 / height[1])
 
 
-def _velocity(geometry: Vector, doppler_mps: Vector, design: Vector, root: Vector) -> Vector:
+def _velocity(geometry: Array, doppler_mps: Array, design: Array, root: Array) -> Array:
     """The velocity (3,) by the range rates; with an assumed height it is horizontal."""
     count = len(doppler_mps)
     design, residual = np.column_stack([design[:, :3], np.zeros(len(root))]), np.zeros(len(root))
@@ -160,7 +158,7 @@ def _velocity(geometry: Vector, doppler_mps: Vector, design: Vector, root: Vecto
     return np.zeros(3) if motion is None else motion[:3]
 
 
-def _least_squares(design: Vector, residual: Vector, root: Vector) -> Vector | None:
+def _least_squares(design: Array, residual: Array, root: Array) -> Array | None:
     """Weighted solution, by square roots of the weights (n,); None without full rank."""
     weighted, right = design * root[:, None], residual * root
     solution, _, rank, _ = np.linalg.lstsq(weighted, right, rcond=RANK_TOLERANCE)
@@ -173,7 +171,7 @@ def _known_height(last: ReceiverFix) -> tuple[float, float]:
     return last.height_m, LAST_HEIGHT_SIGMA_M if known else SEA_HEIGHT_SIGMA_M
 
 
-def _point_below_satellites(orbits: Orbits, tow_s: float) -> Vector:
+def _point_below_satellites(orbits: Orbits, tow_s: float) -> Array:
     """Initial position (3,) on the Earth's surface, below the mean of the satellites."""
     # The mean of the satellites in view is roughly in the zenith.
     middle = np.mean([satellite_state(row, tow_s)[:3] for row in orbits.table], axis=0)

@@ -12,6 +12,7 @@ import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.constants import (
     GNSS_EARTH_RATE_RPS,
@@ -22,7 +23,6 @@ from mavproxy_fault.numerics.constants import (
 from mavproxy_fault.rinex.gps_clock import WEEK_S
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
-Vector = NDArray[np.float64]
 State8 = tuple[float, float, float, float, float, float, float, float]
 
 MU_M3PS2 = {"G": GPS_GM_M3PS2, "E": WGS84_GM_M3PS2}
@@ -35,7 +35,7 @@ class Orbits(msgspec.Struct, frozen=True):
     times in seconds of one GPS week."""
 
     satellites: tuple[str, ...]
-    table: Vector
+    table: Array
 
 
 def tabulate_orbits(ephemerides: Sequence[Ephemeris], week: int) -> Orbits:
@@ -83,7 +83,7 @@ def _orbit_row(e: Ephemeris, week: int) -> tuple[float, ...]:
 
 
 @inlined
-def satellite_state(row: Vector, tow_s: float) -> State8:
+def satellite_state(row: Array, tow_s: float) -> State8:
     """Position (3) and velocity (3), Earth-fixed at `tow_s`, clock and clock rate of one satellite.
 
     The clock is the satellite's minus GPS time on L1 or E1 [s]: polynomial, relativity and group

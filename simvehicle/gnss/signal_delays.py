@@ -10,13 +10,9 @@ References
 
 from math import cos, pi, sin, sqrt
 
-import numpy as np
-from numpy.typing import NDArray
-
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import inlined
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
-
-Vector = NDArray[np.float64]
 
 DAY_S = 86_400.0
 NIGHT_S = 5e-9  # Klobuchar's constant term
@@ -31,7 +27,7 @@ def ionosphere_m(
     lon_rad: float,
     elevation_rad: float,
     azimuth_rad: float,
-    coefficients: Vector,
+    coefficients: Array,
 ) -> float:
     """Klobuchar delay [m] of L1 [1]_; `coefficients` (8,) are alpha, then beta.
 

@@ -11,11 +11,9 @@ import math
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from simvehicle.gnss.gnss_config import ClockConfig
-
-Vector = NDArray[np.float64]
 
 CN0_CORRELATION_S = 20.0  # correlation time of the C/N0 variation; chosen: that of multipath
 SHORTEST_CORRELATION_S = 1e-9  # a process with correlation time 0 becomes white noise
@@ -30,7 +28,7 @@ class ReceiverClock(msgspec.Struct, frozen=True):
 
 
 def step_clock(
-    clock: ReceiverClock, config: ClockConfig, step_s: float, draws: Vector
+    clock: ReceiverClock, config: ClockConfig, step_s: float, draws: Array
 ) -> ReceiverClock:
     """Propagate the clock by `step_s` [1]_; `draws` (2,) are standard normal."""
     q_offset, q_drift = config.h0_s / 2.0, 2.0 * math.pi**2 * config.h2_hz
@@ -46,9 +44,7 @@ def step_clock(
     )
 
 
-def step_gauss_markov(
-    value: Vector, time_s: float | Vector, step_s: float, draws: Vector
-) -> Vector:
+def step_gauss_markov(value: Array, time_s: float | Array, step_s: float, draws: Array) -> Array:
     """Propagate Gauss-Markov processes (n,) of unit variance and correlation time `time_s` by
     `step_s`; `draws` (n,) are standard normal."""
     # Clipped, as a correlation time of 0 means white noise.
@@ -56,7 +52,7 @@ def step_gauss_markov(
     return np.asarray(phi * value + np.sqrt(1.0 - phi * phi) * draws)
 
 
-def multipath_sigma_m(elevation_rad: Vector) -> Vector:
+def multipath_sigma_m(elevation_rad: Array) -> Array:
     """Standard deviation of multipath [m] [2]_; a scalar or (n,) as the elevation."""
-    sigma: Vector = 0.13 + 0.53 * np.exp(-np.degrees(elevation_rad) / 10.0)
+    sigma: Array = 0.13 + 0.53 * np.exp(-np.degrees(elevation_rad) / 10.0)
     return sigma

@@ -6,8 +6,8 @@ from typing import NamedTuple, cast
 
 import numpy as np
 from numba.np.unsafe.ndarray import to_fixed_tuple
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth_kernel import ecef_of, ned_axes
@@ -23,7 +23,6 @@ from simvehicle.gnss.pseudorange import (
 )
 from simvehicle.gnss.signal_errors import multipath_sigma_m
 
-Vector = NDArray[np.float64]
 _Scalar = Callable[[float], float]
 _code_sigma = cast(_Scalar, inlined(code_sigma_m))
 _rate_sigma = cast(_Scalar, inlined(rate_sigma_mps))
@@ -42,23 +41,23 @@ class SignalChannel(NamedTuple):
     the names above, `galileo` (n,) is 1 for Galileo satellites.
     """
 
-    coefficients: Vector
+    coefficients: Array
     troposphere: bool
-    levels: Vector
-    galileo: Vector
+    levels: Array
+    galileo: Array
 
 
 @compiled
 def simulate_signals(
-    table: Vector,
+    table: Array,
     tow_s: float,
-    where: Vector,
+    where: Array,
     clock: tuple[float, float],
     channel: SignalChannel,
-    wander: Vector,
-    faults: Vector,
-    noise: Vector,
-) -> Vector:
+    wander: Array,
+    faults: Array,
+    noise: Array,
+) -> Array:
     """Elevation [rad], C/N0 [dBHz], pseudorange [m] and range rate [m/s] of n satellites (4, n).
 
     Parameters

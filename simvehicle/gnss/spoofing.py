@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.earth import curvature_radii
 from mavproxy_fault.wire.plant_names import FASTEST_SPOOF_MPS
-
-Vector = NDArray[np.float64]
 
 DELAY = 3  # the row of `SignalFaults.spoof` after the position
 
@@ -22,11 +21,11 @@ class SpoofedPlace(NamedTuple):
     """One spoofed position and time: `offset_m` (4,) is north, east, down and delay [m],
     `offset_mps` (4,) their rate [m/s], `mask` (n,) that of the spoofed satellites."""
 
-    offset_m: Vector
-    offset_mps: Vector
+    offset_m: Array
+    offset_mps: Array
     mask: NDArray[np.bool_]
 
-    def position(self, here: Vector) -> Vector:
+    def position(self, here: Array) -> Array:
         """The spoofed latitude, longitude [rad], height [m] and velocity NED (6,)."""
         meridian_m, prime_m = curvature_radii(here[0])
         north_m, east_m, down_m = self.offset_m[:DELAY].tolist()
@@ -38,7 +37,7 @@ class SpoofedPlace(NamedTuple):
         return spoofed
 
 
-def spoofed_places(spoof: Vector, before: Vector, step_s: float) -> Iterator[SpoofedPlace]:
+def spoofed_places(spoof: Array, before: Array, step_s: float) -> Iterator[SpoofedPlace]:
     """Yield each distinct spoofed position with its satellites.
 
     Parameters

@@ -4,9 +4,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from simvehicle.gnss.gnss_config import ReceiverConfig
 
-Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Stamps = NDArray[np.int64]
 
@@ -49,8 +49,8 @@ def update_tracking(
     signal: Mask,
     t_us: int,
     receiver: ReceiverConfig,
-    search_s: Vector,
-    message_s: Vector,
+    search_s: Array,
+    message_s: Array,
 ) -> Tracking:
     """Update the tracking state for one epoch.
 

@@ -16,6 +16,7 @@ from mavproxy_fault.documents.document_check import (
     DocumentCheck,
     NotNegative,
     Positive,
+    Section,
     decode,
 )
 from mavproxy_fault.documents.document_kind import check_kind
@@ -38,11 +39,7 @@ from simvehicle.sensors.vision import Vision
 Shape = Literal["triangle", "diamond", "s", "eight", "trapezoid", "circle", "line"]
 
 
-class _Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of the sections: unknown keys are errors."""
-
-
-class StartState(_Section, frozen=True):
+class StartState(Section, frozen=True):
     """Motion at the start of a flight in the air, along and about the body axes."""
 
     u_mps: float
@@ -55,7 +52,7 @@ class StartState(_Section, frozen=True):
     r_dps: float = 0.0
 
 
-class StartConfig(_Section, frozen=True):
+class StartConfig(Section, frozen=True):
     """Home and the start of the flight.
 
     `alt_m` is the ground's height above mean sea level at home, `geoid_m` the geoid's height above
@@ -81,14 +78,14 @@ class StartConfig(_Section, frozen=True):
             raise ValueError("time has no time zone; write it like 2024-03-07T12:00:00Z")
 
 
-class VehicleChoice(_Section, frozen=True):
+class VehicleChoice(Section, frozen=True):
     """Kind of vehicle (`kinds`) and its parameter set: a shipped name or a YAML file's path."""
 
     kind: str = "fixedwing"
     parameters: str = "aerosonde-2025"
 
 
-class Leg(_Section, frozen=True):
+class Leg(Section, frozen=True):
     """One shape of the mission; it starts where the previous one ended, with the same heading."""
 
     shape: Shape
@@ -98,7 +95,7 @@ class Leg(_Section, frozen=True):
     laps: Annotated[int, Meta(ge=1)] = 1
 
 
-class WeaveChoice(_Section, frozen=True):
+class WeaveChoice(Section, frozen=True):
     """Rolling from side to side by `roll_deg` at constant pitch and, for a fixed wing, constant
     airspeed; a quadrotor keeps its height."""
 
@@ -108,7 +105,7 @@ class WeaveChoice(_Section, frozen=True):
     airspeed_mps: float | None = None
 
 
-class OpenLoopControls(_Section, frozen=True):
+class OpenLoopControls(Section, frozen=True):
     """Constant controls of a fixed wing instead of a mission; `weave` adds feedback. A quadrotor
     takes `weave` only."""
 
@@ -119,14 +116,14 @@ class OpenLoopControls(_Section, frozen=True):
     weave: WeaveChoice | None = None
 
 
-class ShearChoice(_Section, frozen=True):
+class ShearChoice(Section, frozen=True):
     """Wind shear as a power law over height; `wind_ned_mps` is the wind at `reference_m`."""
 
     reference_m: Positive = 10.0  # height of weather station wind
     exponent: float = 1.0 / 7.0  # the one-seventh power law of neutral air over open land
 
 
-class Environment(_Section, frozen=True):
+class Environment(Section, frozen=True):
     """Weather and ground.
 
     `terrain` is an ASCII raster of heights [m] over degrees, which then also gives the height of
@@ -139,7 +136,7 @@ class Environment(_Section, frozen=True):
     terrain: str | None = None
 
 
-class SensorSuite(_Section, frozen=True):
+class SensorSuite(Section, frozen=True):
     """The sensors on board; a list has several of one kind, with ids 0, 1, ..."""
 
     # Always on board: its rate sets the simulation's step
@@ -155,7 +152,7 @@ class SensorSuite(_Section, frozen=True):
     remote_control: RemoteControl | None = None
 
 
-class Scenario(_Section, frozen=True):
+class Scenario(Section, frozen=True):
     """A complete scenario file."""
 
     name: str = "scenario"
@@ -163,7 +160,7 @@ class Scenario(_Section, frozen=True):
     duration_s: Positive = 120.0
     start: StartConfig = StartConfig()
     vehicle: VehicleChoice = VehicleChoice()
-    mission: list[Leg] = []  # msgspec makes a new list for each scenario
+    mission: list[Leg] = msgspec.field(default_factory=list)
     controls: OpenLoopControls | None = None
     environment: Environment = Environment()
     sensors: SensorSuite = SensorSuite()

@@ -7,10 +7,9 @@ Gauss-Markov process. Errors are generated in blocks, as drawing them one by one
 import math
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 
-from mavproxy_fault.documents.document_check import NotNegative, Positive
+from mavproxy_fault.documents.document_check import NotNegative, Positive, Section
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled
 
@@ -40,7 +39,7 @@ class NoiseState(NamedTuple):
     walk: Array
 
 
-class NoiseModel(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class NoiseModel(Section, frozen=True):
     """The errors of one channel, or of several channels alike, in the sensor's unit.
 
     Parameters

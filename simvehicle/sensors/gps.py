@@ -6,9 +6,9 @@ Model: Beard and McLain, Small Unmanned Aircraft, 2012, section 7.5.
 import math
 from typing import ClassVar
 
-import msgspec
 import numpy as np
 
+from mavproxy_fault.documents.document_check import Section
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.earth import curvature_radii
 from simvehicle.sensors.error_model import NoiseModel
@@ -17,7 +17,7 @@ from simvehicle.sensors.sensor import Rate, SensorParameters
 from simvehicle.vehicles.body import Truth
 
 
-class GpsError(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class GpsError(Section, frozen=True):
     """Gauss-Markov position error: nu[n+1] = exp(-k T) nu[n] + eta, eta of `kick_m` per sample."""
 
     kick_m: float

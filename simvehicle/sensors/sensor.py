@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, NamedTuple
 
-import msgspec
 import numpy as np
 from msgspec import Meta
 
-from mavproxy_fault.documents.document_check import NotNegative
+from mavproxy_fault.documents.document_check import NotNegative, Section
 from simvehicle.sensors.error_model import BLOCK, NoiseModel, NoiseState
 from simvehicle.sensors.readings import Reading
 from simvehicle.vehicles.body import Truth
@@ -22,7 +21,7 @@ class DrawnErrors(NamedTuple):
     noises: list[NoiseState]
 
 
-class SensorParameters(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class SensorParameters(Section, frozen=True):
     """Parameters common to all sensors; `latency_s` is the delay from measurement to delivery.
 
     `channels` is the number of channels of each of the sensor's noise models.

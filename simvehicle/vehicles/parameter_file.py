@@ -5,9 +5,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import msgspec
-
-from mavproxy_fault.documents.document_check import decode
+from mavproxy_fault.documents.document_check import Section, decode
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.documents.yaml_document import Document, read_document
 from simvehicle.vehicles.battery_kernel import BatterySupply
@@ -17,11 +15,7 @@ T = TypeVar("T")
 SHIPPED = Path(__file__).parent / "parameters"
 
 
-class ParameterSection(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of the sections: unknown keys are errors."""
-
-
-class InertiaMoments(ParameterSection, frozen=True):
+class InertiaMoments(Section, frozen=True):
     """Moments of inertia about the centre of mass [kg m^2]."""
 
     jx: float
@@ -30,7 +24,7 @@ class InertiaMoments(ParameterSection, frozen=True):
     jxz: float = 0.0
 
 
-class BatteryParameters(ParameterSection, frozen=True):
+class BatteryParameters(Section, frozen=True):
     """A lithium-polymer pack, modelled in `battery_kernel`.
 
     `full_throttle_a` is the current at full throttle, for a vehicle without a motor model.
@@ -53,7 +47,7 @@ class BatteryParameters(ParameterSection, frozen=True):
         )
 
 
-class VehicleParameters(ParameterSection, frozen=True):
+class VehicleParameters(Section, frozen=True):
     """What all vehicles have; `gear_m` are the points that touch the ground, in body axes."""
 
     name: str

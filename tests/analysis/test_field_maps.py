@@ -56,3 +56,29 @@ def test_a_field_that_a_damaged_format_makes_a_text_is_missing() -> None:
     assert values_of(line, columns) is None
     (track,) = read_map("A\n  track  a  Y, X, Y\n")["A"]
     assert rows_of(track, columns) is None
+
+
+def curve_of(message: str, name: str, columns: dict[str, np.ndarray]) -> list[float] | None:
+    (line,) = (one for one in TLOG[message] if f"{one.target} {one.name}" == name)
+    found = values_of(line, columns)
+    return None if found is None else found.tolist()
+
+
+def test_what_a_sensor_or_receiver_had_not_measured_yet_has_no_value() -> None:
+    flags = np.array([0x3F, 0x23F, 0x3F], np.uint32)
+    columns = {"fields_updated": flags, "abs_pressure": np.array([0.0, 950.0, 950.0])}
+    assert curve_of("HIL_SENSOR", "baro HIL_SENSOR", columns) == pytest.approx(
+        [np.nan, 950, 950], nan_ok=True
+    )
+    # A fix that is lost later keeps what the receiver said then.
+    columns = {"fix_type": np.array([1, 3, 0]), "alt": np.array([0, 488_000, 0])}
+    assert curve_of("GPS_RAW_INT", "altitude GPS", columns) == pytest.approx(
+        [np.nan, 488, 0], nan_ok=True
+    )
+
+
+@pytest.mark.parametrize(("second", "cell"), [(65535, None), (4100, [4.2])])
+def test_the_only_voltage_of_a_battery_is_that_of_no_cell(second, cell) -> None:
+    columns = {"voltages": np.array([[4200, second] + [65535] * 8], np.uint16)}
+    found = curve_of("BATTERY_STATUS", "battery-cells cell 1", columns)
+    assert found == (None if cell is None else pytest.approx(cell))

@@ -78,7 +78,7 @@ def main() -> int:
     feed, unused = Feed(), AccessControl("", frozenset(), frozenset())
     page = LivePage(feed, RunSource(feed, None), unused, SequenceFolder(None), True)
     routes = [route.path for route in page.app.routes]  # type: ignore[attr-defined]
-    with serve_page("tcp/127.0.0.1:0", 0) as address:
+    with serve_page("tcp/127.0.0.1:0", port=0) as address:
         port, token = int(address.split(":")[2].partition("/")[0]), address.partition("token=")[2]
         words = json.dumps([port, routes, token])
         with open(__file__) as script:

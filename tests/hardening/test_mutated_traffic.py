@@ -30,7 +30,8 @@ from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout, message_names
 from mavproxy_fault.wire.frame import HEADER_V2, SIGNATURE_LENGTH, Frame, build_frame
-from mavproxy_fault.wire.signing import derive_key, sign_frame
+from mavproxy_fault.wire.signing import derive_key
+from tests.signed_frames import sign_frame
 
 BYTES = int(os.environ.get("HARDENING_BYTES", "150000"))
 BETWEEN = 10 if BYTES < 1_000_000 else 100  # datagrams: on a stream a mark may be delayed by 0.2 s

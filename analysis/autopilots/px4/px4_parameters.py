@@ -1,6 +1,8 @@
 """PX4 parameters for a scenario's vehicle; no I/O."""
 
+from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2
 from simvehicle.simulation.simulation import Simulation
+from simvehicle.vehicles.fixedwing.fixedwing import FixedWing
 from simvehicle.vehicles.multirotor.multirotor import Multirotor
 
 AIRFRAMES = {"multirotor": "none_iris", "fixedwing": "gazebo-classic_plane"}
@@ -20,11 +22,15 @@ PLANE_PARAMETERS = {  # for a plane that is faster than PX4's default airframe
     "FW_AIRSPD_MAX": 35,
     "FW_AIRSPD_STALL": 14,
     "FW_THR_MAX": 1,
-    "FW_THR_TRIM": 0.4,
     "TRIM_PITCH": 0,
     "RWTO_ROT_AIRSPD": 22,
     "NAV_LOITER_RAD": 150,
-    "FW_LND_USETER": 0,  # the mission gives the ground height, with or without a range finder
+    # Without a range finder the height may be wrong by 2 m at the end of a flight: from the default
+    # flare of 0.5 m PX4 would be on the ground before it closes the throttle.
+    "FW_LND_USETER": 0,
+    "FW_LND_FLALT": 2.5,
+    "FW_LND_FL_SINK": 0.6,  # ends the flare before the plane is slow
+    "FW_LND_FL_PMIN": 7,  # above the pitch of the approach: PX4's height control is slower
 }
 # The messages that PX4 sends in a run, and how often.
 STREAMS_HZ = {
@@ -63,8 +69,12 @@ def run_parameters(simulation: Simulation, height_m: float) -> dict[str, float]:
         # loiter at once. For PX4, zero means not calibrated.
         values["SENS_DPRES_OFF"] = offset_pa or MIN_OFFSET_PA
     vehicle = simulation.vehicle
-    if not isinstance(vehicle, Multirotor):
-        return values | PLANE_PARAMETERS
+    if isinstance(vehicle, FixedWing):
+        # Without a valid airspeed PX4 flies by this throttle: with less, too slowly to flare.
+        speed_mps = PLANE_PARAMETERS["FW_AIRSPD_TRIM"]
+        trim = vehicle.trim(speed_mps, SEA_LEVEL_DENSITY_KGPM3, STANDARD_GRAVITY_MPS2)
+        return values | PLANE_PARAMETERS | {"FW_THR_TRIM": trim.throttle}
+    assert isinstance(vehicle, Multirotor)
     # The default radius of 10 m would cut the corners of small shapes.
     return values | {"NAV_ACC_RAD": ACCEPTANCE_RADIUS_M} | rotor_parameters(vehicle)
 

@@ -212,8 +212,10 @@ def _pareto_html(grid: Sequence[GridRow], limits: OutcomeLimits) -> str:
         if count == 0:
             break
         so_far += count
-        rows.append((subject, fault, f"{count}", f"{count / total:.0%}", f"{so_far / total:.0%}"))
-    head = ("subject", "fault", f"cells {limits.worse_from} or worse", "share", "cumulative")
+        rows.append(
+            (subject, fault, f"{count}", *(f"{100 * n / total:.0f}" for n in (count, so_far)))
+        )
+    head = ("subject", "fault", f"cells {limits.worse_from} or worse", "share, %", "cumulative, %")
     return "<h2>Most harmful faults (Pareto)</h2>" + table_html(
         ReportTable("Pareto", head, rows[:MAX_PARETO_ROWS])
     )
@@ -229,7 +231,7 @@ def _worst_html(results: Sequence[CellResult], units: dict[str, MagnitudeUnit]) 
                 cell.subject,
                 cell.fault,
                 units[cell.fault].describe(cell.magnitude),
-                f"{cell.onset}",
+                cell.onset if isinstance(cell.onset, str) else f"{cell.onset:g} s",
                 "" if result.excursion_deg is None else f"{result.excursion_deg:.3g}",
                 "" if result.excursion_m is None else f"{result.excursion_m:.3g}",
                 result.note or result.detected_by,

@@ -3,7 +3,7 @@
 import csv
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -20,7 +20,7 @@ from analysis.campaign.results.outcome_grid import (
     requirement_counts,
     severity_key,
 )
-from analysis.campaign.results.outcome_markdown import render_markdown
+from analysis.campaign.results.outcome_table import render_markdown
 from analysis.campaign.results.subject_scores import conditions_hash, score_subjects
 from analysis.campaign.results_store import (
     BASELINE,
@@ -42,7 +42,7 @@ def write_report(folder: Path, plan: CampaignPlan) -> dict[str, object]:
     summary = campaign_summary(plan, results)
     (folder / "campaign-summary.json").write_text(json.dumps(summary, indent=1) + "\n")
     (folder / "summary.md").write_text(render_markdown(campaign, results), encoding="utf-8")
-    write_csv(folder / "cells.csv", results)
+    write_csv(folder / "cells.csv", [flatten_result(result) for result in results])
     write_baseline(folder / BASELINE, results)
     # A compiled campaign has too many cells for JUnit readers.
     if not campaign.compiled:
@@ -103,12 +103,10 @@ def campaign_summary(plan: CampaignPlan, results: list[CellResult]) -> dict[str,
     return summary
 
 
-def write_csv(path: Path, results: list[CellResult]) -> None:
-    """Write one row per cell."""
-    rows = [flatten_result(result) for result in results]
+def write_csv(path: Path, rows: Sequence[Mapping[str, object]]) -> None:
+    """Write rows that all have the same columns."""
     with path.open("w", newline="") as file:
-        # All rows have the same columns.
-        writer = csv.DictWriter(file, list(rows[0]))
+        writer = csv.DictWriter(file, list(rows[0]) if rows else [])
         writer.writeheader()
         writer.writerows(rows)
 

@@ -9,7 +9,6 @@ Bounds are those of `share_bounds` for the share of failed flights. A hash cover
 row except the time they took, and under an autopilot except measured numbers.
 """
 
-import csv
 import hashlib
 import os
 import shlex
@@ -25,6 +24,7 @@ from analysis.campaign.campaign_file import CampaignFile, FaultChoice
 from analysis.campaign.cell import CellResult, file_key
 from analysis.campaign.magnitude_unit import magnitude_units
 from analysis.campaign.outcomes import ABORTED
+from analysis.campaign.results.campaign_report import write_csv
 from analysis.campaign.results.outcome_grid import GridCell, GridRow, outcome_grid
 from analysis.campaign.results.subject_scores import share_bounds
 from analysis.campaign.results_store import read_campaign_folder
@@ -65,10 +65,7 @@ def write_evidence(folder: Path, out: Path) -> None:
         "requirements": requirement_rows(campaign, results),
     }
     for name, rows in tables.items():
-        with (out / f"{name}.csv").open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]) if rows else [])
-            writer.writeheader()
-            writer.writerows(rows)
+        write_csv(out / f"{name}.csv", rows)
     (out / "evidence.html").write_text(render_page(campaign, tables), encoding="utf-8")
 
 

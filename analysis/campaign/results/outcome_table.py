@@ -1,12 +1,15 @@
-"""Print a campaign's outcomes to the terminal."""
+"""A campaign's outcomes on the terminal, and as Markdown for the step summary of a CI."""
 
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
 from rich.table import Table
 from rich.text import Text
 
+from analysis.campaign.campaign_file import CampaignFile
 from analysis.campaign.campaign_plan import CampaignPlan
+from analysis.campaign.cell import CellResult
 from analysis.campaign.magnitude_unit import MagnitudeUnit, magnitude_units
 from analysis.campaign.outcomes import ABORTED
 from analysis.campaign.results.outcome_grid import (
@@ -63,6 +66,26 @@ def print_outcomes(folder: Path, plan: CampaignPlan) -> None:
     console.print(f"page     {folder / 'campaign.html'}", soft_wrap=True)
 
 
+def render_markdown(campaign: CampaignFile, results: Sequence[CellResult]) -> str:
+    """Return a table with one row per subject and fault, and one cell per magnitude."""
+    rows, units = outcome_grid(results, campaign), magnitude_units(campaign)
+    failed = sum(campaign.fails(result) for result in results)
+    # Markdown needs rows of equal length.
+    width = max((len(row.cells) for row in rows), default=0)
+    lines = [
+        f"### {campaign.name}: {len(results)} cells, {failed} failed",
+        "",
+        "| subject | fault |" + " |" * width,
+        "|---|---|" + "---|" * width,
+    ]
+    for row in rows:
+        cells = [f"{units[row.fault].describe(one.magnitude)} {one.worst.outcome}".lstrip()
+                 for one in row.cells]  # fmt: skip
+        cells += [""] * (width - len(row.cells))
+        lines.append("| " + " | ".join((row.subject, row.fault, *cells)) + " |")
+    return "\n".join(lines) + "\n"
+
+
 def _text(cell: GridCell, unit: MagnitudeUnit) -> Text:
     name = f"{unit.describe(cell.magnitude)} ".lstrip()
     outcome = cell.worst.outcome
@@ -76,7 +99,14 @@ def _criticals(
     plan: CampaignPlan, known: dict[str, object], units: dict[str, MagnitudeUnit]
 ) -> Table:
     table = plain_table(
-        "subject", "scenario", "fault", "onset", "for s", "seed", "critical magnitude", "flights"
+        "subject",
+        "scenario",
+        "fault",
+        "onset",
+        "duration, s",
+        "seed",
+        "critical magnitude",
+        "flights",
     )
     for series, critical in plan.critical_magnitudes(known).items():  # type: ignore[arg-type]
         text = units[series[2]].describe(critical.magnitude) or "none"

@@ -25,7 +25,11 @@ from analysis.detection.actuators.effects import COMMANDS, FORCE, OUTPUT, RATE, 
 from analysis.detection.actuators.motion_bins import AIR_LASTS_US, MotionBins
 from analysis.detection.actuators.motion_filter import MotionModel
 from analysis.detection.actuators.motor_imbalance import MOTOR_COUNT, MotorTrim
-from analysis.detection.actuators.response_regression import NO_HYPOTHESES, ResponseRegression
+from analysis.detection.actuators.response_regression import (
+    BINS_PER_STEP,
+    NO_HYPOTHESES,
+    ResponseRegression,
+)
 from analysis.detection.actuators.switched_off import OutputStates
 from analysis.results import FOREVER_US
 from analysis.samples.block import (
@@ -307,7 +311,9 @@ class ActuatorResponse:
         self.since_result += 1
         # The fault changes the flight, so the first isolation is the most reliable and is kept.
         most = SINGLE_BINS if pair[0] == NO_HYPOTHESIS else PAIR_BINS
-        if found.share == 0.0 and abs(found.deficit) < SLIGHT_DEFICIT:
+        if found.share > 0.0:
+            most = max(most, BINS_PER_STEP + 1)  # a second step of the regression agrees
+        elif abs(found.deficit) < SLIGHT_DEFICIT:
             most = max(most, SLIGHT_BINS)
         confirmed = found.first != NO_HYPOTHESIS and self.hypothesis_run >= most
         narrows = (

@@ -15,6 +15,7 @@ import csv
 import math
 from collections.abc import Iterator, Mapping
 from datetime import date, timedelta
+from itertools import groupby
 from pathlib import Path
 
 from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ
@@ -69,38 +70,32 @@ def read_gnss_logger(path: Path) -> list[Epoch]:
 def _epochs(lines: list[str]) -> Iterator[Epoch]:
     names = next((line[1:] for line in lines if line[1:].lstrip().startswith("Raw,")), "")
     columns = [name.strip() for name in names.split(",")]
-    clock, discontinuities, bias_ns = "", "", 0
-    rows: tuple[dict[str, CodeObservation], ...] = {}, {}
-    channels: dict[str, int] = {}
-    at_ns = 0
-    for fields in csv.reader(line for line in lines if line.startswith("Raw,")):
-        row = dict(zip(columns, fields, strict=False))
-        try:
-            if row["TimeNanos"] != clock:
-                yield from _epoch(at_ns, rows, channels)
-                clock, rows = row["TimeNanos"], ({}, {})
-                if discontinuities != row["HardwareClockDiscontinuityCount"] or not bias_ns:
-                    discontinuities = row["HardwareClockDiscontinuityCount"]
-                    bias_ns = int(row["FullBiasNanos"])
-                at_ns = int(clock) - bias_ns
-            found = _observation(row, at_ns)
-        except (KeyError, ValueError):
-            continue  # a damaged row
-        if found is not None:
-            rows[found[3] in SECOND[found[0][0]]].setdefault(found[0], found)
-            if found[0][0] == "R":
-                offset_hz = float(row["CarrierFrequencyHz"] or CENTRE_HZ) - CENTRE_HZ
-                channels[found[0]] = round(offset_hz / CHANNEL_HZ)
-    yield from _epoch(at_ns, rows, channels)
-
-
-def _epoch(
-    at_ns: int, rows: tuple[dict[str, CodeObservation], ...], channels: dict[str, int]
-) -> Iterator[Epoch]:
-    week, tow_ns = divmod(at_ns, WEEK_NS)
-    epoch = epoch_of(week, tow_ns * 1e-9, rows[0].values(), channels, rows[1])
-    if epoch is not None:
-        yield epoch
+    table = csv.reader(line for line in lines if line.startswith("Raw,"))
+    known = (dict(zip(columns, fields, strict=False)) for fields in table)
+    timed = (row for row in known if row.get("TimeNanos"))
+    discontinuities, bias_ns, channels = "", 0, dict[str, int]()
+    for clock, together in groupby(timed, lambda row: row["TimeNanos"]):
+        rows: tuple[dict[str, CodeObservation], ...] = {}, {}
+        at_ns = -1
+        for row in together:
+            try:
+                if at_ns < 0:
+                    if discontinuities != row["HardwareClockDiscontinuityCount"] or not bias_ns:
+                        discontinuities = row["HardwareClockDiscontinuityCount"]
+                        bias_ns = int(row["FullBiasNanos"])
+                    at_ns = int(clock) - bias_ns
+                found = _observation(row, at_ns)
+            except (KeyError, ValueError):
+                continue  # a damaged row
+            if found is not None:
+                rows[found[3] in SECOND[found[0][0]]].setdefault(found[0], found)
+                if found[0][0] == "R":
+                    offset_hz = float(row["CarrierFrequencyHz"] or CENTRE_HZ) - CENTRE_HZ
+                    channels[found[0]] = round(offset_hz / CHANNEL_HZ)
+        week, tow_ns = divmod(at_ns, WEEK_NS)
+        epoch = epoch_of(week, tow_ns * 1e-9, rows[0].values(), channels, rows[1])
+        if epoch is not None:
+            yield epoch
 
 
 def _observation(row: Mapping[str, str], at_ns: int) -> CodeObservation | None:

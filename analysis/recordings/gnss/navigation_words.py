@@ -26,13 +26,11 @@ from mavproxy_fault.rtcm.ephemeris_messages import (
 from mavproxy_fault.rtcm.transport import crc24q
 
 Coefficients = tuple[float, float, float, float]  # of Klobuchar's model
-Fields = dict[str, float]
 
 WEEK_S = 604_800
 PREAMBLE = 0x8B
 KLOBUCHAR_PAGE = 56  # the page's id in subframe 4
 KLOBUCHAR_STEPS = (2**-30, 2**-27, 2**-24, 2**-24, 2**11, 2**14, 2**16, 2**16)
-INAV_WORDS = (1, 2, 3, 4, 5)
 
 
 def _rows(table: tuple[Row, ...], names: str) -> tuple[Row, ...]:
@@ -52,13 +50,13 @@ _SUBFRAMES: dict[int, tuple[Row, ...]] = {
     2: (*_rows(GPS_ROWS, "iode"), *SHAPE_ROWS, *_rows(GPS_ROWS, "toe_s long_fit")),
     3: (*ORIENTATION_ROWS, *_rows(GPS_ROWS, "iode idot_rps")),
 }
-_INAV: dict[int, tuple[Row, ...]] = {
-    1: _rows(GALILEO_ROWS, "iode toe_s m0_rad eccentricity sqrt_a"),
-    2: _rows(GALILEO_ROWS, "iode omega0_rad i0_rad omega_rad idot_rps"),
-    3: _rows(GALILEO_ROWS, "iode omega_dot_rps delta_n_rps cuc_rad cus_rad crc_m crs_m accuracy"),
-    4: _rows(GALILEO_ROWS, "iode prn cic_rad cis_rad toc_s af0_s af1 af2_per_s"),
+_INAV: dict[int, tuple[Row, ...]] = {  # after the six bits of the word's type
+    1: _rows(GALILEO_ROWS, "6 iode toe_s m0_rad eccentricity sqrt_a"),
+    2: _rows(GALILEO_ROWS, "6 iode omega0_rad i0_rad omega_rad idot_rps"),
+    3: _rows(GALILEO_ROWS, "6 iode omega_dot_rps delta_n_rps cuc_rad cus_rad crc_m crs_m accuracy"),
+    4: _rows(GALILEO_ROWS, "6 iode prn cic_rad cis_rad toc_s af0_s af1 af2_per_s"),
     5: (
-        *_rows(GALILEO_ROWS, "41 group_delay_e5a_s group_delay_s"),
+        *_rows(GALILEO_ROWS, "47 group_delay_e5a_s group_delay_s"),
         ("e5b_health", 2, 1),
         ("e1_health", 2, 1),
         ("e5b_invalid", 1, 1),
@@ -126,13 +124,9 @@ def parse_inav_word(words: Sequence[int]) -> tuple[int, bytes] | None:
 
 def inav_ephemeris(satellite: str, words: dict[int, bytes], near_s: float) -> Ephemeris | None:
     """The ephemeris of the newest I/NAV words 1 to 5; None while their issues of data differ."""
-    if not all(kind in words for kind in INAV_WORDS):
+    if not all(kind in words for kind in _INAV):
         return None
-    parts: dict[int, Fields] = {}
-    for kind, rows in _INAV.items():
-        bits = BitReader(words[kind])
-        bits.unsigned(6)  # the word's type
-        parts[kind] = read_fields(bits, rows)
+    parts = {kind: read_fields(BitReader(words[kind]), rows) for kind, rows in _INAV.items()}
     # Word 5 has no issue of data.
     if len({parts[kind]["iode"] for kind in (1, 2, 3, 4)}) > 1:
         return None

@@ -53,7 +53,7 @@ def _impact(record: VehicleRecord, found: VehicleOutcome, th: Thresholds) -> Fli
     speed_mps, at_s = found.impact_mps or 0.0, found.impact_s or 0.0
     blow = next((event for event in found.events if event.text.startswith(BLOW)), None)
     if blow is not None and speed_mps <= fail:
-        limit += ", or for a blow that ends the flight"
+        limit += ", or for an impact that ends the flight"
         window = blow.t_s, blow.t_s + STOP_S
         return FlightCheck(
             name, FAIL, f"{blow.text}, at {blow.t_s:.1f} s", limit, (window,), "accel"

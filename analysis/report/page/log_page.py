@@ -52,7 +52,7 @@ def log_page(outcome: FlightAssessment, tables: Sequence[tuple[str, ReportTable]
     known = {"vehicle": kind, **recording.identity, "date": _date(recording.utc0_us)}
     shown += [(name, text) for name, text in known.items() if text]
     if order := chain_text(outcome.checks):
-        shown.append(("in order", order))
+        shown.append(("findings in order", order))
     shown += flight_facts(recording) + _run_facts(outcome)
     return ReportPage(
         recording.name,

@@ -90,18 +90,18 @@ def break_at_gaps(t_s: Vector, value: Vector) -> tuple[Vector, Vector]:
     if len(t_s) < 3:
         return t_s, value
     steps = np.diff(t_s)
-    gaps = np.flatnonzero(steps > max(GAP_STEPS * float(np.median(steps)), LEAST_GAP_S))
-    # At the middle of the gap.
-    middle = (t_s[gaps] + t_s[gaps + 1]) / 2
-    return np.insert(t_s, gaps + 1, middle), np.insert(value, gaps + 1, np.nan)
+    return _broken(t_s, value, steps > max(GAP_STEPS * float(np.median(steps)), LEAST_GAP_S))
 
 
 def break_at_wraps(t_s: Vector, angle_deg: Vector) -> tuple[Vector, Vector]:
     """Insert NaN where an angle (n,) wraps around, so that no line crosses the plot."""
     # A jump of more than half a turn is a wrap.
-    wraps = np.flatnonzero(np.abs(np.diff(angle_deg)) > HALF_TURN_DEG)
-    middle = (t_s[wraps] + t_s[wraps + 1]) / 2
-    return np.insert(t_s, wraps + 1, middle), np.insert(angle_deg, wraps + 1, np.nan)
+    return _broken(t_s, angle_deg, np.abs(np.diff(angle_deg)) > HALF_TURN_DEG)
+
+
+def _broken(t_s: Vector, value: Vector, breaks: NDArray[np.bool_]) -> tuple[Vector, Vector]:
+    at = np.flatnonzero(breaks)
+    return np.insert(t_s, at + 1, (t_s[at] + t_s[at + 1]) / 2), np.insert(value, at + 1, np.nan)
 
 
 def thin_spans(spans: Sequence[Span]) -> list[Span]:

@@ -74,7 +74,9 @@ def run_tables(summary: Mapping[str, Any]) -> list[tuple[str, ReportTable]]:
             ]
             for row in rows
         ]
-        tables.append((TIMELINE, ReportTable("Injected against detected", head, cells)))
+        tables.append(
+            (TIMELINE, ReportTable("Injected against detected", head, cells, style="cards"))
+        )
     if false := summary.get("false_by_channel"):
         note = "Alarms that no fault explains; inside a fault only those that isolated a sensor."
         alarms = [_cells(row, FALSE_COLUMNS) for row in false]

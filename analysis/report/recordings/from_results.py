@@ -20,7 +20,7 @@ from analysis.scoring.outcome import RECOVERY_S
 from mavproxy_fault.numerics import earth
 from mavproxy_fault.wire.label import Label
 
-RECOVERY_ROW = f"{RECOVERY_S:g} s after one"
+RECOVERY_ROW = f"{RECOVERY_S:g} s after a fault"
 EVERY_EPOCH = {"fdi-residual", "fdi-normalised", "fdi-probability"}
 SOLUTION = "GNSS solution"  # track of the positions from ranges
 TEXTS_SHOWN = 4  # of an alarm, for lack of space

@@ -10,11 +10,10 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.estimators import Prior
 from analysis.estimators.estimator import KernelState
-from analysis.estimators.inverse_model import BEFORE, NINE, InverseModel, integrate_block
+from analysis.estimators.inverse_model import BEFORE, NINE, integrate_block
 from analysis.samples.block import (
     FIX,
     FIX_3D,
@@ -31,6 +30,7 @@ from analysis.samples.block import FORCE as FORCE_ROW
 from analysis.search.evaluation.envelope import pack_envelope, violated_limit
 from analysis.search.space.airframe import has_rotors
 from analysis.search.space.test_file import FlightEnvelope, TestFile
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat
@@ -53,7 +53,6 @@ from simvehicle.vehicles.fixedwing.weave_kernel import weave_controls
 from simvehicle.vehicles.multirotor.sway_kernel import sway_commands
 from simvehicle.vehicles.rigidbody_kernel import DOWN, E0, RIGID_SIZE, P
 
-Array = NDArray[np.float64]
 # Columns of the truth, after the rigid body's state: velocity through the air (body axes), specific
 # force, height above ground, and latitude [rad], longitude [rad], height [m].
 AIR, FORCE, HEIGHT, PLACE, TRUTH_SIZE = RIGID_SIZE, 16, 19, 20, 23
@@ -203,12 +202,6 @@ def error_rows(q_nb: Array, truth: Array) -> Array:
         for k, error in enumerate(attitude_errors(q_nb[i], truth[i])):
             out[i, k] = error if error == error else np.pi
     return out
-
-
-def dead_reckoning(prior: Prior, samples: Block) -> Array:
-    """The inverse model's nine states (n, 9) at the IMU samples."""
-    imu = samples.where(samples.kind == IMU)
-    return nine_states(imu.kind, imu.t_us, imu.values, InverseModel().start(prior))
 
 
 @compiled

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from msgspec.structs import asdict
-from numpy.typing import NDArray
 
 from analysis.estimators import Prior, estimate_block, make_estimator
+from analysis.estimators.inverse_model import InverseModel
 from analysis.samples.block import AIRSPEED, BARO, FIX, IMU, IMU_ID, Block, Stamps
 from analysis.scoring.attitude_scores import ErrorBins, flight_phases, score_breakdown
 from analysis.search.evaluation.compiled_flight import (
@@ -16,19 +16,19 @@ from analysis.search.evaluation.compiled_flight import (
     FORCE,
     PLACE,
     SampledFlight,
-    dead_reckoning,
     error_rows,
+    nine_states,
     sampled_flight,
 )
 from analysis.search.space.point_scenario import document_of, faults_of
 from analysis.search.space.sample_faults import break_samples
 from analysis.search.space.test_file import TestFile
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.earth import curvature_radii
 from mavproxy_fault.numerics.rotations.rotation import euler_from_quat, matrix_from_quat
 from mavproxy_fault.wire.label import Label
 from simvehicle.environment.air import pressure_altitude
 
-Array = NDArray[np.float64]
 BIN_US = 100_000
 STATES = (
     "north_m", "east_m", "down_m", "u_mps", "v_mps", "w_mps", "roll_deg", "pitch_deg", "yaw_deg",
@@ -160,7 +160,8 @@ def error_bins(flight: EstimatedFlight) -> ErrorBins:
 
 def state_rmse(flight: EstimatedFlight) -> Array:
     """RMSE (12,) of the inverse model in the units of STATES; its rates are the gyro's."""
-    nine, truth = dead_reckoning(flight.prior, flight.samples), flight.truth
+    imu, truth = flight.samples.where(flight.samples.kind == IMU), flight.truth
+    nine = nine_states(imu.kind, imu.t_us, imu.values, InverseModel().start(flight.prior))
     angle = nine[:, :3] - euler_from_quat(truth[:, 6:10])
     error = np.column_stack(
         [

@@ -3,13 +3,12 @@
 from math import asin, atan2, degrees, inf, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.search.space.test_file import FlightEnvelope
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import STANDARD_GRAVITY_MPS2
 
-Array = NDArray[np.float64]
 LIMITS = ("", "pitch", "alpha", "beta", "airspeed", "rate", "load", "ground")
 
 

@@ -19,11 +19,10 @@ from analysis.search.space.fault_range import Range
 from analysis.search.space.point_scenario import Document, document_of
 from analysis.search.space.test_file import TestFile
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.schedule.entries import parse_schedule
 from simvehicle.scenario.scenario_file import Scenario
 from simvehicle.vehicles.body import Truth
-
-Array = NDArray[np.float64]
 
 
 class EvaluationOutcome(NamedTuple):

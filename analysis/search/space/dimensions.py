@@ -5,13 +5,12 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.search.space.fault_picks import pick_entries
 from analysis.search.space.fault_range import Range
 from analysis.search.space.test_file import TestFile
+from mavproxy_fault.numerics.arrays import Array
 
-Array = NDArray[np.float64]
 SECTIONS = ("initial", "controls", "mission", "wind", "sensors")
 
 

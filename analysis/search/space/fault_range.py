@@ -2,17 +2,18 @@
 
 from typing import Any
 
-from msgspec import Struct, field
+from msgspec import field
 
 from analysis.flying.onset import onset_keys
 from analysis.search.space.sample_faults import DROPPED, FIELDS, SAMPLE_FAULTS, VALUELESS
+from mavproxy_fault.documents.document_check import Section
 
 Range = float | tuple[float, float]
 """A fixed number, or the interval to search."""
 
 
-class Section(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Base of the sections of a test file: unknown keys are errors; ranges must be ordered."""
+class RangeSection(Section, frozen=True):
+    """Base of the sections of a test file: ranges must be ordered."""
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
@@ -22,7 +23,7 @@ class Section(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
                 raise ValueError(f"{name} = {list(value)} has its ends reversed; write [low, high]")
 
 
-class FaultRange(Section, frozen=True):
+class FaultRange(RangeSection, frozen=True):
     """One fault as in a schedule; units are the field's.
 
     With `any_of` the target is searched too, with several onsets `on` (flight events or conditions,

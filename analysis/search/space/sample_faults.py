@@ -4,11 +4,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from analysis.samples.block import AIRSPEED, BARO, FIX, FORCE, IMU, MAG, Block
+from mavproxy_fault.numerics.arrays import Array
 
-Array = NDArray[np.float64]
 # Kind, column and unit of a message's field in a row.
 FIELDS: dict[str, tuple[int, int, float]] = {
     **{f"HIL_SENSOR.{axis}gyro": (IMU, i, 1.0) for i, axis in enumerate("xyz")},

@@ -12,7 +12,7 @@ import numpy as np
 
 from analysis.scoring.requirements import Requirement, parse_requirements
 from analysis.search.space.airframe import has_rotors
-from analysis.search.space.fault_range import FaultRange, Range, Section
+from analysis.search.space.fault_range import FaultRange, Range, RangeSection
 from mavproxy_fault.documents.document_check import decode
 from mavproxy_fault.documents.document_kind import check_kind
 from mavproxy_fault.documents.yaml_document import read_document
@@ -32,7 +32,7 @@ NO_ENVELOPE = {
 }  # fmt: skip
 
 
-class InitialState(Section, frozen=True):
+class InitialState(RangeSection, frozen=True):
     """Initial state; None is the value of trimmed flight at the vehicle's cruising speed."""
 
     height_m: Range = 500.0
@@ -47,7 +47,7 @@ class InitialState(Section, frozen=True):
     r_dps: Range = 0.0
 
 
-class SearchControls(Section, frozen=True):
+class SearchControls(RangeSection, frozen=True):
     """Constant controls; None is the control of the trim."""
 
     elevator_deg: Range | None = None
@@ -56,7 +56,7 @@ class SearchControls(Section, frozen=True):
     throttle: Range | None = None
 
 
-class Mission(Section, frozen=True):
+class Mission(RangeSection, frozen=True):
     """Rolling from side to side while holding pitch and airspeed (None: the trim's)."""
 
     roll_deg: Range = 30.0
@@ -72,7 +72,7 @@ class Mission(Section, frozen=True):
             raise ValueError(f"period_s = {shortest} is not positive; use seconds > 0")
 
 
-class SteadyWind(Section, frozen=True):
+class SteadyWind(RangeSection, frozen=True):
     """Velocity of the steady wind, the direction it blows to."""
 
     north_mps: Range = 0.0
@@ -80,7 +80,7 @@ class SteadyWind(Section, frozen=True):
     down_mps: Range = 0.0
 
 
-class SearchSensors(Section, frozen=True):
+class SearchSensors(RangeSection, frozen=True):
     """Noise of each sample, one sigma, and constant biases.
 
     `static` is the absolute pressure, which also drifts with the temperature relative to 15
@@ -107,7 +107,7 @@ class SearchSensors(Section, frozen=True):
     accel_bias_z_mps2: Range = 0.0
 
 
-class FlightEnvelope(Section, frozen=True):
+class FlightEnvelope(RangeSection, frozen=True):
     """The flight envelope: a flight that leaves it does not count."""
 
     pitch_deg: float = 80.0
@@ -119,7 +119,7 @@ class FlightEnvelope(Section, frozen=True):
     height_m: float = 0.0
 
 
-class StateScales(Section, frozen=True):
+class StateScales(RangeSection, frozen=True):
     """Scales that weight the errors of the twelve states."""
 
     position_m: float = 10.0
@@ -128,7 +128,7 @@ class StateScales(Section, frozen=True):
     rate_dps: float = 1.0
 
 
-class AutopilotChoice(Section, frozen=True):
+class AutopilotChoice(RangeSection, frozen=True):
     """An autopilot that flies the scenario from take-off to landing, as `run --autopilot` does.
 
     `at_s` of the faults counts from take-off.
@@ -146,7 +146,7 @@ class AutopilotChoice(Section, frozen=True):
         return found
 
 
-class TestFile(Section, frozen=True):
+class TestFile(RangeSection, frozen=True):
     """A complete test file.
 
     `criterion` is maximised: the greatest RMSE of roll, pitch and yaw, the RMSE of the angle

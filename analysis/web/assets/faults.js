@@ -101,11 +101,9 @@ function kindOf({ fault, preset, targets, parameters }) {
 function faultRow(fault) {
   const stateText = make("span", { className: "state" });
   const what = make("span", { className: "what note" });
-  const disarm = make("button", { type: "button", className: "small", textContent: "Disarm", disabled: !token });
-  disarm.setAttribute("aria-label", `Disarm ${fault.id}`);
+  const disarm = make("button", { type: "button", className: "small", textContent: "Disarm", disabled: !token, ariaLabel: `Disarm ${fault.id}` });
   disarm.onclick = () => attempt("schedule-message", () => change(`ctl/fault/${encodeURIComponent(fault.id)}/disarm`).then(() => ""));
-  const again = make("button", { type: "button", className: "small", textContent: "Re-arm", hidden: true, disabled: !token });
-  again.setAttribute("aria-label", `Re-arm ${fault.id}`);
+  const again = make("button", { type: "button", className: "small", textContent: "Re-arm", hidden: true, disabled: !token, ariaLabel: `Re-arm ${fault.id}` });
   let newest = fault;
   again.onclick = () => attempt("schedule-message", async () => {
     await change(`ctl/fault/${encodeURIComponent(fault.id)}/arm`, JSON.stringify(repeatedEntry(newest)));
@@ -156,9 +154,10 @@ function phaseOf(fault) {
 // The live value of a fault that has one: constant, or streamed if its profile is live.
 function liveOf(fault) {
   const { value, profile } = fault.parameters || {};
-  if (profile?.live) return new LiveValue(fault.id, 0, profile.live.timeout_s ?? 0.5);
-  if (typeof value === "number") return new LiveValue(fault.id, value);
-  return fault.preset && catalogue?.faults[fault.fault]?.schema.properties.value ? new LiveValue(fault.id) : null;
+  const unit = unitOf(fault.fault, fault.targets?.[0]);
+  if (profile?.live) return new LiveValue(fault.id, unit, 0, profile.live.timeout_s ?? 0.5);
+  if (typeof value === "number") return new LiveValue(fault.id, unit, value);
+  return fault.preset && catalogue?.faults[fault.fault]?.schema.properties.value ? new LiveValue(fault.id, unit) : null;
 }
 
 $("stop").onclick = () => attempt("schedule-message", () => change("ctl/schedule/stop").then(() => ""));
@@ -246,10 +245,16 @@ function suggest(kind, fault) {
   $("targets").replaceChildren(...found.map(([value, label]) => make("option", { value, label: label ? `${value}, ${label}` : value })));
 }
 
+// The unit of a fault's value on a target; empty if it has none.
+function unitOf(fault, target = "") {
+  const field = target.startsWith("PSEUDORANGE.") ? "m" : catalogue?.units[target.split("[")[0]], unit = catalogue?.faults[fault]?.unit ?? "";
+  return unit.startsWith("field") ? field && unit.replace("field", field) : unit;
+}
+
 function showUnit() {
   const target = $("fields").querySelector("[data-key=target]"), value = $("fields").querySelector("[data-key=value]");
-  if (!target || !value) return;
-  const unit = target.value.startsWith("PSEUDORANGE.") ? "m" : catalogue.units[target.value.split("[")[0]];
+  if (!value) return;
+  const unit = unitOf(chosen().name, target?.value);
   value.closest(".field").firstChild.textContent = unit ? `value, ${unit}` : "value";
 }
 

@@ -6,21 +6,18 @@ const SLIDER_MS = 80;
 
 class LiveValue {
   // `value` is undefined if unknown; `timeout_s` is given if values are streamed.
-  constructor(id, value, timeout_s) {
+  constructor(id, unit, value, timeout_s) {
     Object.assign(this, { id, timeout_s, wanted: null, busy: false, timer: 0 });
     const reach = Math.abs(value ?? 0) * 3 || 1;
-    this.range = make("input", { type: "range", min: -reach, max: reach, step: reach / 300, value: value ?? 0, disabled: !token, hidden: value === undefined });
-    this.number = make("input", { type: "number", step: "any", value: value ?? "", placeholder: "value", disabled: !token });
-    this.range.setAttribute("aria-label", `Value of ${id}, slider`);
-    this.number.setAttribute("aria-label", `Value of ${id}`);
+    this.range = make("input", { type: "range", min: -reach, max: reach, step: reach / 300, value: value ?? 0, disabled: !token, hidden: value === undefined, ariaLabel: `Value of ${id}, slider` });
+    this.number = make("input", { type: "number", step: "any", value: value ?? "", placeholder: "value", disabled: !token, ariaLabel: `Value of ${id}` });
     this.range.oninput = () => { this.number.value = this.range.value; this.set(Number(this.range.value)); };
     this.number.onchange = () => { if (this.number.value !== "") { this.reach(Number(this.number.value)); this.set(Number(this.number.value)); } };
-    this.element = make("div", { className: "live" }, this.range, this.number);
+    this.element = make("div", { className: "live" }, this.range, this.number, unit || "");
     if (timeout_s) this.element.append(this.streaming());
   }
   streaming() {
-    this.toggle = make("button", { type: "button", className: "small", textContent: "Stream", disabled: !token });
-    this.toggle.setAttribute("aria-label", `Stream the value of ${this.id}`);
+    this.toggle = make("button", { type: "button", className: "small", textContent: "Stream", disabled: !token, ariaLabel: `Stream the value of ${this.id}` });
     this.toggle.onclick = () => this.stream(!this.timer);
     this.stream(false);
     return this.toggle;

@@ -17,7 +17,9 @@ function shownRange() {
 function plotAxes() {
   const common = { stroke: () => colour("--faint"), grid: { stroke: () => colour("--grid"), width: 1 },
     ticks: { stroke: () => colour("--grid"), width: 1 }, font: "12px system-ui, sans-serif" };
-  return [{ ...common, size: 28, values: (u, ticks) => ticks.map((t) => `${+t.toFixed(3)} s`) }, { ...common, size: 66 }];
+  // Nine digits: uPlot by itself rounds to three decimals.
+  const digits = (u, ticks) => ticks.map((y) => y === null ? "" : String(+y.toPrecision(9)));
+  return [{ ...common, size: 28, values: (u, ticks) => ticks.map((t) => `${+t.toFixed(3)} s`) }, { ...common, size: 66, values: digits }];
 }
 
 const logRange = (decades) => (u, min, max) => {
@@ -95,7 +97,7 @@ class Sliding {
     this.decades = decades;
     this.dashed = dashed;
     this.clear();
-    new ResizeObserver(() => this.resize()).observe(area);
+    new ResizeObserver(() => this.plot?.setSize(this.size())).observe(area);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.plot?.redraw());
   }
   clear() {
@@ -166,8 +168,7 @@ class Sliding {
     this.dirty = true;
     if (!this.names.length) return;
     this.plot = new uPlot({
-      width: Math.max(240, this.area.clientWidth), height: 190, pxAlign: 0,
-      cursor: { drag: { x: false, y: false }, sync: SYNC },
+      ...this.size(), pxAlign: 0, cursor: { drag: { x: false, y: false }, sync: SYNC },
       scales: { x: { time: false, range: shownRange },
         y: this.decades ? { distr: 3, range: logRange(this.decades) } : {} },
       axes: plotAxes(), hooks: { drawClear: [shadeFaults] },
@@ -180,19 +181,15 @@ class Sliding {
         }))],
     }, this.data(), this.area);
   }
-  resize() {
-    if (this.plot) this.plot.setSize({ width: Math.max(240, this.area.clientWidth), height: 190 });
-  }
+  size() { return { width: Math.max(240, this.area.clientWidth), height: 190 }; }
 }
 
 // A synthetic healthy signal, the same with the fault, and the change, on the right axis.
 function drawCurve(area, curve) {
   const lost = curve.lost.length ? `, ${curve.lost.length} frame${curve.lost.length === 1 ? "" : "s"} lost` : "";
   const alone = curve.name.startsWith("change of"); // of a large value only the change is drawn
-  const title = document.createElement("p");
-  title.className = "note";
-  title.textContent = `${curve.name}${lost} (${alone ? "" : "grey: healthy, synthetic; "}orange: with the fault${alone ? "" : "; blue, right: the change"})`;
-  area.append(title);
+  const textContent = `${curve.name}${lost} (${alone ? "" : "grey: healthy, synthetic; "}orange: with the fault${alone ? "" : "; blue, right: the change"})`;
+  area.append(make("p", { className: "note", textContent }));
   if (!curve.t.length) return;
   const change = curve.faulty.map((y, n) => alone || y === null || curve.healthy[n] === null ? null : y - curve.healthy[n]);
   const line = (label, stroke, more) => ({ label, stroke: () => colour(stroke), width: 1.3, points: { show: false }, ...more });
@@ -246,11 +243,7 @@ class Satellites {
     this.area.replaceChildren();
     this.rows.clear();
     for (const name of names) {
-      const row = document.createElement("div");
-      const [label, track, text] = ["span", "span", "span"].map((tag) => document.createElement(tag));
-      label.textContent = name;
-      track.append(document.createElement("i"));
-      row.append(label, track, text);
+      const row = make("div", {}, make("span", { textContent: name }), make("span", {}, make("i")), make("span"));
       this.area.append(row);
       this.rows.set(name, row);
     }

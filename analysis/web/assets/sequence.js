@@ -23,11 +23,8 @@ class Step {
     height?.addEventListener("input", () => { this.rest.height_m = scalar(height.value.trim(), { type: "number" }); });
     this.begin.onchange = () => { this.wanted = this.begin.value; };
     this.state = make("span", { className: "state" });
-    const button = (text, label, act) => {
-      const found = make("button", { type: "button", className: "small", textContent: text, onclick: act });
-      found.setAttribute("aria-label", `${label} ${this.id}`);
-      return found;
-    };
+    const button = (textContent, label, onclick) =>
+      make("button", { type: "button", className: "small", textContent, onclick, ariaLabel: `${label} ${this.id}` });
     const named = (words, control) => {
       control.setAttribute("aria-label", `${words} of ${this.id}`);
       return make("label", {}, `${words} `, control);

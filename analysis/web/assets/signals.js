@@ -61,13 +61,13 @@ class Signal {
     const [message, field] = name.split(".");
     Object.assign(this, { message, field, range: message === "PSEUDORANGE", plot: null, drawn: "" });
     this.note = make("p", { className: "note", textContent: "nothing received yet" });
-    const close = make("button", { type: "button", className: "small", textContent: "Remove", onclick: remove });
-    close.setAttribute("aria-label", `Remove ${name}`);
-    const unit = this.range ? "m" : catalogue?.units[name.split("[")[0]];
+    const close = make("button", { type: "button", className: "small", textContent: "Remove", onclick: remove, ariaLabel: `Remove ${name}` });
+    const unit = this.range ? "m" : catalogue?.units[name.split("[")[0]], scaled = unit === "1e-7 deg"; // as people read positions
+    this.scale = scaled ? 1e-7 : 1;
     this.area = make("div", { className: "plot" });
     this.now = make("span", { className: "now" });
     this.element = make("div", { className: "signal" },
-      make("div", { className: "title" }, make("b", { textContent: name }), unit ? `, ${unit}` : "", this.now, close), this.note, this.area);
+      make("div", { className: "title" }, make("b", { textContent: name }), unit ? `, ${scaled ? "deg" : unit}` : "", this.now, close), this.note, this.area);
     area.append(this.element);
     this.observer = new ResizeObserver(() => this.plot?.setSize(this.size()));
     this.observer.observe(this.area);
@@ -88,16 +88,17 @@ class Signal {
     const received = table.window("received", store.newest_us, span_us);
     if (!received.length) return false;
     const usual_us = (received.at(-1)[0] - received[0][0]) / Math.max(1, received.length - 1) || 1e6;
-    const pick = (row) => row[place];
+    const pick = (row) => row[place] == null ? null : row[place] * this.scale;
+    const [rows, truth] = truthOf(this.name, store.newest_us, span_us);
     const sent = this.range ? this.changes(table, place, span_us) : table.window("sent", store.newest_us, span_us);
     const came = column(received, this.range ? () => 0 : pick, usual_us);
     const data = uPlot.join([
       came,
       !this.range && !table.faulted ? came : column(sent, this.range ? (row) => row[1] : pick, usual_us),
-      column(...truthOf(this.name, store.newest_us, span_us), 1e9),
+      column(rows, (row) => truth(row) * this.scale, 1e9),
     ], [[1, 1], [1, 1], [1, 1]]);
     this.note.hidden = true;
-    const digits = (value) => value == null ? "–" : String(+value.toPrecision(Math.abs(value) > 1e5 ? 10 : 5));
+    const digits = (value) => value == null ? "–" : String(+(value * this.scale).toPrecision(Math.abs(value) > 1e5 ? 9 : 5));
     this.now.textContent = this.range ? `forwarded minus received ${digits(sent.at(-1)?.[1])}`
       : `received ${digits(table.newest(this.field, "received"))}, forwarded ${digits(table.newest(this.field))}`;
     if (!this.plot) this.make(data);

@@ -6,9 +6,9 @@ Formulas: Diebel, Representing Attitude, Stanford, 2006.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from mavproxy_fault.numerics.arrays import Array
 
 
 def quat_from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Array:

@@ -8,17 +8,16 @@ from math import atan2, cos, pi, sin, sqrt
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.rotations.one_rotation import euler_angles
 
-Vector = NDArray[np.float64]
 Quaternion = tuple[float, float, float, float]
 Axis = tuple[float, float, float]
 Errors = tuple[float, float, float, float]
 
-euler_of_quaternion = cast(Callable[[Vector | Quaternion], Axis], compiled(euler_angles))
+euler_of_quaternion = cast(Callable[[Array | Quaternion], Axis], compiled(euler_angles))
 
 
 @compiled
@@ -31,7 +30,7 @@ def quaternion_of_rotation(rx: float, ry: float, rz: float) -> Quaternion:
 
 
 @compiled
-def rotate_in_place(q: Vector, by: Quaternion) -> None:
+def rotate_in_place(q: Array, by: Quaternion) -> None:
     """Rotate the attitude q[:4] in place, in body axes."""
     w, x, y, z = by
     a, b, c, d = q[0], q[1], q[2], q[3]
@@ -45,7 +44,7 @@ def rotate_in_place(q: Vector, by: Quaternion) -> None:
 
 
 @compiled
-def rotate_attitude(q: Vector, rx: float, ry: float, rz: float) -> Vector:
+def rotate_attitude(q: Array, rx: float, ry: float, rz: float) -> Array:
     """Return q (4,) rotated by the rotation vector (rx, ry, rz) [rad] in body axes."""
     out = q.copy()
     rotate_in_place(out, quaternion_of_rotation(rx, ry, rz))
@@ -53,7 +52,7 @@ def rotate_attitude(q: Vector, rx: float, ry: float, rz: float) -> Vector:
 
 
 @compiled
-def rotate_in_reference(q: Vector, rx: float, ry: float, rz: float) -> Vector:
+def rotate_in_reference(q: Array, rx: float, ry: float, rz: float) -> Array:
     """Return q (4,) rotated by a rotation vector [rad] in the reference axes (NED, ECEF)."""
     out = np.empty(4)
     out[0], out[1], out[2], out[3] = quaternion_of_rotation(rx, ry, rz)
@@ -63,7 +62,7 @@ def rotate_in_reference(q: Vector, rx: float, ry: float, rz: float) -> Vector:
 
 
 @compiled
-def body_axes(q: Vector) -> tuple[Axis, Axis, Axis]:
+def body_axes(q: Array) -> tuple[Axis, Axis, Axis]:
     """Return the rows of rot_nb of the attitude q[:4]."""
     w, x, y, z = q[0], q[1], q[2], q[3]
     return (
@@ -74,7 +73,7 @@ def body_axes(q: Vector) -> tuple[Axis, Axis, Axis]:
 
 
 @compiled
-def rotation_matrix(q: Vector) -> NDArray[np.float64]:
+def rotation_matrix(q: Array) -> Array:
     """Return rot_nb (3, 3) of q (4,)."""
     north, east, down = body_axes(q)
     out = np.empty((3, 3))
@@ -115,7 +114,7 @@ def to_ned(
 
 
 @compiled
-def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Vector:
+def quaternion_of_euler(roll: float, pitch: float, yaw: float) -> Array:
     """Return the quaternion (4,) of 3-2-1 Euler angles [rad]."""
     cr, sr = cos(0.5 * roll), sin(0.5 * roll)
     cp, sp = cos(0.5 * pitch), sin(0.5 * pitch)
@@ -138,7 +137,7 @@ def wrap_angle(angle_rad: float) -> float:
 
 
 @compiled
-def heading_error(q: Vector, field: Vector, declination_rad: float) -> float:
+def heading_error(q: Array, field: Array, declination_rad: float) -> float:
     """Return the rotation about down that aligns the measured field (3,) with the declination."""
     rot = rotation_matrix(q)
     north = rot[0, 0] * field[0] + rot[0, 1] * field[1] + rot[0, 2] * field[2]
@@ -148,8 +147,8 @@ def heading_error(q: Vector, field: Vector, declination_rad: float) -> float:
 
 @compiled
 def gravity_error(
-    q: Vector, accel: Vector, gyro: Vector, speed_mps: float, gravity_mps2: float
-) -> Vector:
+    q: Array, accel: Array, gyro: Array, speed_mps: float, gravity_mps2: float
+) -> Array:
     """Return the body rotation vector (3,) from the estimated to the measured down.
 
     The centripetal part of the specific force is removed for a flight along the nose. The result
@@ -173,7 +172,7 @@ def gravity_error(
 
 
 @compiled
-def attitude_errors(q_estimate: Vector | Quaternion, q_truth: Vector | Quaternion) -> Errors:
+def attitude_errors(q_estimate: Array | Quaternion, q_truth: Array | Quaternion) -> Errors:
     """Return the wrapped differences of roll, pitch and yaw of two quaternions (4,), and the angle
     of the rotation between them [rad]."""
     a, b = q_estimate, q_truth

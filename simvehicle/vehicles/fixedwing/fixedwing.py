@@ -12,7 +12,7 @@ import numpy as np
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.rotations.rotation import matrix_from_quat, quat_from_euler
 from simvehicle.vehicles.compiled_vehicle import CompiledVehicle
-from simvehicle.vehicles.contact_kernel import Gear
+from simvehicle.vehicles.contact_kernel import Gear, make_gear
 from simvehicle.vehicles.fixedwing.fixedwing_flight import (
     STATE_SIZE,
     integrate_flight,
@@ -22,7 +22,6 @@ from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
 from simvehicle.vehicles.fixedwing.fixedwing_parameters import (
     FixedWingParameters,
     aero_coefficients,
-    wheel_gear,
 )
 from simvehicle.vehicles.fixedwing.trim import TrimPoint, find_trim
 from simvehicle.vehicles.rigidbody_kernel import RIGID_SIZE
@@ -50,7 +49,8 @@ class FixedWing(CompiledVehicle[FixedWingParameters]):
     def __init__(self, parameters: FixedWingParameters, plant: Mapping[str, float] = {}) -> None:
         super().__init__(parameters, plant)
         self.aero: Aero = aero_coefficients(parameters, plant)
-        self.gear: Gear = wheel_gear(parameters)
+        # Wheels: low friction along the body, high friction across it.
+        self.gear: Gear = make_gear(np.array(parameters.gear_m), parameters.mass_kg, 0.05, 0.8)
         throw = parameters.throw_deg
         self.throw_rad = (
             math.radians(throw.elevator),

@@ -4,17 +4,13 @@ import math
 from collections.abc import Mapping
 
 import msgspec
-import numpy as np
 
-from simvehicle.vehicles.contact_kernel import Gear, make_gear
+from mavproxy_fault.documents.document_check import Section
 from simvehicle.vehicles.fixedwing.fixedwing_kernel import Aero
-from simvehicle.vehicles.parameter_file import (
-    ParameterSection,
-    VehicleParameters,
-)
+from simvehicle.vehicles.parameter_file import VehicleParameters
 
 
-class Wing(ParameterSection, frozen=True):
+class Wing(Section, frozen=True):
     """Reference area, span, chord and Oswald efficiency."""
 
     area_m2: float
@@ -23,7 +19,7 @@ class Wing(ParameterSection, frozen=True):
     oswald: float
 
 
-class Longitudinal(ParameterSection, frozen=True):
+class Longitudinal(Section, frozen=True):
     """Lift or pitching-moment coefficients."""
 
     zero: float
@@ -32,7 +28,7 @@ class Longitudinal(ParameterSection, frozen=True):
     elevator: float
 
 
-class Drag(ParameterSection, frozen=True):
+class Drag(Section, frozen=True):
     """Drag coefficients except induced drag."""
 
     parasitic: float
@@ -40,14 +36,14 @@ class Drag(ParameterSection, frozen=True):
     elevator: float
 
 
-class Stall(ParameterSection, frozen=True):
+class Stall(Section, frozen=True):
     """Blending from linear lift to that of a flat plate."""
 
     sharpness: float
     alpha_rad: float
 
 
-class Lateral(ParameterSection, frozen=True):
+class Lateral(Section, frozen=True):
     """Side-force, rolling- or yawing-moment coefficients."""
 
     zero: float
@@ -58,7 +54,7 @@ class Lateral(ParameterSection, frozen=True):
     rudder: float
 
 
-class ThrustLaw(ParameterSection, frozen=True):
+class ThrustLaw(Section, frozen=True):
     """T = rho S/2 ((k_motor throttle)^2 - Va^2)."""
 
     disc_m2: float
@@ -66,7 +62,7 @@ class ThrustLaw(ParameterSection, frozen=True):
     k_torque: float
 
 
-class Polynomial(ParameterSection, frozen=True):
+class Polynomial(Section, frozen=True):
     """Propeller coefficient as a polynomial in the advance ratio J."""
 
     zero: float
@@ -74,7 +70,7 @@ class Polynomial(ParameterSection, frozen=True):
     j2: float
 
 
-class FixedWingMotor(ParameterSection, frozen=True):
+class FixedWingMotor(Section, frozen=True):
     """Direct-current motor and propeller."""
 
     diameter_m: float
@@ -86,7 +82,7 @@ class FixedWingMotor(ParameterSection, frozen=True):
     thrust: Polynomial
 
 
-class Throw(ParameterSection, frozen=True):
+class Throw(Section, frozen=True):
     """Maximum deflections."""
 
     elevator: float
@@ -116,11 +112,6 @@ class FixedWingParameters(VehicleParameters, frozen=True):
         super().__post_init__()
 
 
-def wheel_gear(parameters: FixedWingParameters) -> Gear:
-    """Gear with wheels: low friction along the body, high friction across it."""
-    return make_gear(np.array(parameters.gear_m), parameters.mass_kg, along=0.05, across=0.8)
-
-
 def aero_coefficients(parameters: FixedWingParameters, plant: Mapping[str, float]) -> Aero:
     """The kernel's aerodynamic and propulsion coefficients, with plant faults.
 
@@ -131,7 +122,7 @@ def aero_coefficients(parameters: FixedWingParameters, plant: Mapping[str, float
     surfaces = ("elevator", "aileron", "rudder")
     effects = {name: plant.get(f"{name}_efficiency", 1.0) for name in surfaces}
 
-    def numbers(section: ParameterSection) -> list[float]:
+    def numbers(section: Section) -> list[float]:
         """The coefficients of a section, those of surfaces with their faults."""
         values = msgspec.structs.asdict(section).items()
         return [value * effects.get(name, 1.0) for name, value in values]

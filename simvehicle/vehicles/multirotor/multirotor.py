@@ -11,6 +11,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from mavproxy_fault.documents.document_check import Section
 from mavproxy_fault.numerics.arrays import Array
 from mavproxy_fault.numerics.constants import SEA_LEVEL_DENSITY_KGPM3
 from mavproxy_fault.wire.plant_names import MOTOR
@@ -21,11 +22,11 @@ from simvehicle.vehicles.multirotor.multirotor_flight import (
     integrate_flight,
     pack_parameters,
 )
-from simvehicle.vehicles.parameter_file import ParameterSection, VehicleParameters
+from simvehicle.vehicles.parameter_file import VehicleParameters
 from simvehicle.vehicles.rigidbody_kernel import RIGID_SIZE
 
 
-class Rotor(ParameterSection, frozen=True):
+class Rotor(Section, frozen=True):
     """Position forward and right of the centre of mass, and rotation seen from above."""
 
     x_m: float
@@ -33,7 +34,7 @@ class Rotor(ParameterSection, frozen=True):
     turns: Literal["ccw", "cw"]
 
 
-class MultirotorMotor(ParameterSection, frozen=True):
+class MultirotorMotor(Section, frozen=True):
     """Motor and propeller, the same for all rotors; rates are those of the rotor [rad/s]."""
 
     thrust_n_per_rps2: float

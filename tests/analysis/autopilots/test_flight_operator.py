@@ -43,7 +43,8 @@ def commands(frames):
 
 
 def operator(plan):
-    return Operator(plan, OperatorCommands(ardupilot_process.MODES["multirotor"]))
+    modes = ardupilot_process.MODES["multirotor"]
+    return Operator(plan, OperatorCommands(modes, plan.waypoints))
 
 
 class Autopilot:
@@ -331,3 +332,26 @@ def test_a_vehicle_that_stays_on_the_ground_has_not_taken_off(landed_state):
     for _ in range(65):
         autopilot.second(frame("HEARTBEAT", base_mode=217), state)
     assert autopilot.operator.failure.startswith("still taking off after 6")
+
+
+def test_a_silent_autopilot_needs_time():
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0)))
+    needs = []
+    for second in range(6):
+        autopilot.second(*([READY] if second in (0, 1, 4) else []))
+        needs.append(autopilot.operator.needs_time)
+    assert needs == [False, False, True, True, False, True]
+
+
+def test_a_mission_needs_time_to_be_stored_and_read():
+    autopilot = Autopilot(operator(FlightPlan(10.0, 30.0, WAYPOINTS)))
+    autopilot.settle()
+    for _ in range(5):  # not uploaded yet
+        autopilot.second(READY)
+        assert autopilot.operator.needs_time
+    autopilot.second(READY, frame("MISSION_ACK"))
+    needs = []
+    for _ in range(5):
+        needs.append(autopilot.operator.needs_time)
+        autopilot.second(READY)
+    assert needs == [True, True, True, False, False]

@@ -48,7 +48,7 @@ def flight(tmp_path):
 def fly(flight, plan):
     """Fly; return the operator and the largest height."""
     parser, highest_m = Parser(), 0.0
-    operator = Operator(plan, OperatorCommands(PX4["multirotor"], plan.landing))
+    operator = Operator(plan, OperatorCommands(PX4["multirotor"], plan.waypoints, plan.landing))
     operator.receive(POSITION)
     while not operator.finished and flight.t_us < LIMIT_S * 1e6:
         on_ground = flight.simulation.truth.on_ground
@@ -86,26 +86,41 @@ def sent_commands(commands):
     return found
 
 
-def test_a_plane_without_autoland_lands_by_a_mission():
-    commands = OperatorCommands(PLANE, WAY_DOWN)
+def uploaded_items(commands):
+    """Upload; return the commands of the items."""
+    commands.upload()
+    assert sent_commands(commands) == [("MISSION_COUNT", None)]
+    for seq in range(8):
+        commands.receive(frame_of("MISSION_REQUEST_INT", seq=seq))
+    items = [item for _, item in sent_commands(commands)]
+    commands.receive(frame_of("MISSION_ACK"))
+    return items
+
+
+def accept(commands, number):
+    commands.receive(frame_of("COMMAND_ACK", command=number, result=0))
+
+
+def test_a_plane_without_autoland_lands_by_the_end_of_its_mission():
+    commands = OperatorCommands(PLANE, (), WAY_DOWN)
+    # Home, the speed, the approach, the ground; a request behind the last item repeats it.
+    assert uploaded_items(commands)[:5] == [21, 178, 16, 21, 21]
     commands.land()
     assert sent_commands(commands) == [(176, 26.0)]
     commands.receive(frame_of("COMMAND_ACK", command=176, result=4))
     commands.land()
-    assert sent_commands(commands) == [("MISSION_COUNT", None)]
-    for seq in range(4):
-        commands.receive(frame_of("MISSION_REQUEST_INT", seq=seq))
-    # Home, the speed, the approach, the ground.
-    assert [item for _, item in sent_commands(commands)] == [21, 178, 16, 21]
-    commands.receive(frame_of("MISSION_ACK"))
+    commands.land()  # repeated until it is accepted
+    assert sent_commands(commands) == [(224, 0.0)] * 2
+    accept(commands, 224)
     commands.land()
-    assert sent_commands(commands) == [(176, 10.0), (300, 0.0)]
-    commands.land()  # not repeated: a second start would restart the approach
+    assert sent_commands(commands) == [(176, 10.0)]
+    accept(commands, 176)
+    commands.land()  # not repeated: that would restart the approach
     assert sent_commands(commands) == []
 
 
 def test_a_refusal_of_another_mode_does_not_count_for_the_landing_mode():
-    commands = OperatorCommands(PLANE, WAY_DOWN)
+    commands = OperatorCommands(PLANE, (), WAY_DOWN)
     commands.arm()
     commands.receive(frame_of("COMMAND_ACK", command=176, result=4))
     commands.pending()
@@ -114,23 +129,18 @@ def test_a_refusal_of_another_mode_does_not_count_for_the_landing_mode():
 
 
 def test_a_px4_plane_leaves_its_automatic_mode_for_a_while_before_it_is_armed():
-    commands = OperatorCommands(PX4["fixedwing"], WAY_DOWN)
+    commands = OperatorCommands(PX4["fixedwing"], (), WAY_DOWN)
     for _ in range(4):
         commands.arm()
     # Manual for three seconds, then hold.
     assert sent_commands(commands) == [(176, 1.0), (176, 1.0), (176, 1.0), (176, 4.0), (400, 0.0)]
 
 
-def test_a_px4_plane_lands_by_a_mission_also_after_a_mission():
-    commands = OperatorCommands(PX4["fixedwing"], WAY_DOWN)
-    commands.upload([NORTH])
-    commands.receive(frame_of("MISSION_ACK"))
+def test_a_px4_plane_circles_between_its_mission_and_the_approach():
+    commands = OperatorCommands(PX4["fixedwing"], [NORTH], WAY_DOWN)
+    assert uploaded_items(commands)[:6] == [178, 16, 17, 178, 16, 21]
     commands.fly_mission()
     commands.pending()
     commands.land()
-    assert sent_commands(commands) == [("MISSION_COUNT", None)]
-    commands.receive(frame_of("MISSION_ACK"))
-    commands.land()
-    assert sent_commands(commands) == [(176, 4.0), (300, 0.0)]
-    commands.land()
-    assert sent_commands(commands) == []
+    (frame,) = Parser().push(b"".join(commands.pending()))
+    assert (frame.number("command"), frame.number("param1")) == (224, 3)  # the approach's speed

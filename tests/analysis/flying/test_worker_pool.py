@@ -1,6 +1,8 @@
 import multiprocessing
 import os
+import time
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import pytest
@@ -8,6 +10,7 @@ import pytest
 from analysis.campaign.campaign_file import read_campaign
 from analysis.campaign.campaign_plan import CampaignPlan
 from analysis.campaign.campaign_run import answer_of
+from analysis.flying import worker_pool
 from analysis.flying.worker_pool import JobFailure, LocalWorkerPool, RayWorkerPool
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -15,7 +18,8 @@ SMALL = read_campaign(Path(__file__).parents[1] / "campaign" / "small.yaml")
 LONG = msgspec.structs.replace(SMALL, folder=str(Path(__file__).parents[1] / "campaign"))
 
 
-def test_a_hung_flight_is_ended_and_reported() -> None:
+def test_a_hung_flight_is_ended_and_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker_pool, "compiled_last_s", lambda: 0.0)
     fleet = LocalWorkerPool(1, 0.01)
     (job,) = CampaignPlan(LONG).reference_jobs().values()
     try:
@@ -26,6 +30,36 @@ def test_a_hung_flight_is_ended_and_reported() -> None:
     assert (number, answer) == (7, JobFailure("hung: not over after 0.01 s"))
     (result, *_) = answer_of(job, answer).results
     assert (result.outcome, result.note) == ("aborted", answer.reason)
+
+
+class Waiting(NamedTuple):
+    """A job that ends when somebody writes into a pipe."""
+
+    pipe: Path
+
+    def run(self) -> str:
+        return self.pipe.read_text()
+
+
+def test_kernels_that_are_compiled_do_not_count_as_time_of_a_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo(pipe := tmp_path / "pipe")
+    asked = []
+
+    def compiled_last_s() -> float:
+        asked.append(time.time())
+        if len(asked) == 2:  # twice over the limit, while kernels are compiled
+            pipe.write_text("flown")
+        return time.time()
+
+    monkeypatch.setattr(worker_pool, "compiled_last_s", compiled_last_s)
+    fleet = LocalWorkerPool(1, 0.01)
+    try:
+        fleet.start(1, Waiting(pipe))
+        assert fleet.finished() == (1, "flown")
+    finally:
+        fleet.close()
 
 
 def test_a_process_that_dies_is_reported(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from analysis.report.page.index_page import UNREADABLE, index_html
 from analysis.report.run_report import write_run_report
 from analysis.results import Decision
 from mavproxy_fault.cli import main
@@ -79,6 +80,21 @@ def test_nobody_is_kept_from_a_report(
     opened: Opened, find_barriers: Callable[[Any], list[str]]
 ) -> None:
     assert find_barriers(opened.page) == []
+
+
+def test_nobody_is_kept_from_the_index_of_many_flights(
+    browser: Any, tmp_path: Path, find_barriers: Callable[[Any], list[str]]
+) -> None:
+    row = {
+        "verdict": "FAIL", "name": "flight", "report": "flight/report.html", "duration_s": 60.0,
+        "autopilot": "px4", "worst": ["vibration: peak 80 m/s² at 31.2 s, 99th percentile 4.9"],
+    }  # fmt: skip
+    unread = {**row, "verdict": UNREADABLE, "report": "", "duration_s": None, "autopilot": ""}
+    (tmp_path / "index.html").write_text(index_html("fleet", [row, unread]), encoding="utf-8")
+    page = browser.new_page()
+    page.goto((tmp_path / "index.html").as_uri())
+    assert find_barriers(page) == []
+    page.close()
 
 
 def test_a_report_opens_without_errors_and_loads_nothing(opened: Opened) -> None:

@@ -161,4 +161,4 @@ def test_a_criterion_that_is_not_met_is_the_reason_for_the_verdict(tmp_path: Pat
 def test_the_isolation_matrix_counts_epochs_by_injected_fault() -> None:
     heads, rows = isolation_matrix([JUMP], decisions())
     assert heads == ["none", "G05"]
-    assert rows == {"jump<1>": [0, 10], "10 s after one": [10, 0], "no fault": [10, 0]}
+    assert rows == {"jump<1>": [0, 10], "10 s after a fault": [10, 0], "no fault": [10, 0]}

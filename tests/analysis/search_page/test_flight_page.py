@@ -106,7 +106,9 @@ def test_a_folder_that_cannot_be_written_is_reported(tmp_path: Path) -> None:
     flights = make_flights(TEST, tmp_path / "found")
     flights.next()
     flights.close()
-    with pytest.raises(ConfigError, match=r"found: cannot be written .* another folder with --out"):
+    with pytest.raises(
+        ConfigError, match=r"found: cannot be written: .* another folder with --out"
+    ):
         flights.save()
 
 

@@ -24,7 +24,8 @@ import pytest
 
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
-from mavproxy_fault.wire.signing import derive_key, sign_frame
+from mavproxy_fault.wire.signing import derive_key
+from tests.signed_frames import sign_frame
 
 OURS = f"{sys.executable} -m mavproxy_fault.cli proxy --master udpin:{{master}} --to udpout:{{out}}"
 COMMAND = os.environ.get("MAVPROXY_FAULT_CONFORMANCE", f"{OURS} --zenoh off")

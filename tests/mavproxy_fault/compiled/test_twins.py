@@ -32,7 +32,8 @@ from mavproxy_fault.schedule.entries import parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import INTEGER_LIMITS, Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
-from mavproxy_fault.wire.signing import Signing, derive_key, sign_frame
+from mavproxy_fault.wire.signing import Signing, derive_key
+from tests.signed_frames import sign_frame
 
 STAMPS = {
     "ATTITUDE": "time_boot_ms", "GLOBAL_POSITION_INT": "time_boot_ms", "SCALED_IMU": "time_boot_ms",

@@ -22,7 +22,8 @@ from mavproxy_fault.links.bus import open_bus
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.label import read_labels
-from mavproxy_fault.wire.signing import derive_key, sign_frame
+from mavproxy_fault.wire.signing import derive_key
+from tests.signed_frames import sign_frame
 
 PHRASE = "open sesame"
 KEY = derive_key(PHRASE)

@@ -14,12 +14,8 @@ from mavproxy_fault.schedule.entries import Schedule, parse_schedule
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from mavproxy_fault.wire.parser import Parser
-from mavproxy_fault.wire.signing import (
-    Signing,
-    derive_key,
-    mask_signing_keys,
-    sign_frame,
-)
+from mavproxy_fault.wire.signing import Signing, derive_key, mask_signing_keys
+from tests.signed_frames import sign_frame
 
 SIM, AUTOPILOT, GCS = 0, 1, 2
 ROLES = (

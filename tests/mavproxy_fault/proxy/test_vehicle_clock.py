@@ -1,3 +1,4 @@
+from mavproxy_fault.proxy.senders import new_senders
 from mavproxy_fault.proxy.vehicle_clock import VehicleClock, stamp_us
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
@@ -21,7 +22,7 @@ def test_timestamps_are_read_in_microseconds_even_with_truncated_zeros() -> None
 
 
 def test_the_first_stamp_starts_the_timeline_and_frames_without_one_take_the_newest() -> None:
-    clock = VehicleClock()
+    clock = VehicleClock(new_senders())
     assert clock.read(frame("HEARTBEAT", type=2), 123) == 123
     assert clock.t0_us is None
     assert clock.read(frame("ATTITUDE", time_boot_ms=60_000), 124) == 60_000_000
@@ -32,7 +33,7 @@ def test_the_first_stamp_starts_the_timeline_and_frames_without_one_take_the_new
 
 def test_a_system_that_stamped_long_ago_takes_the_newest_time_of_any() -> None:
     """MAVSDK stamps one PING, then sends heartbeats only."""
-    clock = VehicleClock()
+    clock = VehicleClock(new_senders())
     clock.read(frame("HIL_SENSOR", component=51, time_usec=2_000_000), 0)
     clock.read(frame("PING", 245, time_usec=2_000_000), 0)
     clock.read(frame("HIL_SENSOR", component=51, time_usec=11_000_000), 1)
@@ -42,13 +43,13 @@ def test_a_system_that_stamped_long_ago_takes_the_newest_time_of_any() -> None:
 
 
 def test_a_clock_near_the_timeline_is_used_unchanged() -> None:
-    clock = VehicleClock()
+    clock = VehicleClock(new_senders())
     clock.read(frame("HIL_SENSOR", component=51, time_usec=2_000_000), 0)
     assert clock.read(frame("ATTITUDE", time_boot_ms=1_990), 0) == 1_990_000
 
 
 def test_unix_stamps_of_the_same_system_are_shifted_onto_the_timeline() -> None:
-    clock = VehicleClock()
+    clock = VehicleClock(new_senders())
     clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
     assert clock.read(frame("GPS_RAW_INT", time_usec=UNIX_US), 0) == 60_000_000
     clock.read(frame("ATTITUDE", time_boot_ms=61_000), 0)
@@ -56,7 +57,7 @@ def test_unix_stamps_of_the_same_system_are_shifted_onto_the_timeline() -> None:
 
 
 def test_each_vehicle_has_its_own_clock() -> None:
-    clock = VehicleClock()
+    clock = VehicleClock(new_senders())
     clock.read(frame("ATTITUDE", 1, time_boot_ms=60_000), 0)
     assert clock.read(frame("ATTITUDE", 2, time_boot_ms=900_000), 0) == 60_000_000
     clock.read(frame("ATTITUDE", 1, time_boot_ms=62_000), 0)
@@ -65,7 +66,7 @@ def test_each_vehicle_has_its_own_clock() -> None:
 
 
 def test_time_continues_after_a_reboot() -> None:
-    clock = VehicleClock()
+    clock = VehicleClock(new_senders())
     clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
     assert clock.read(frame("ATTITUDE", time_boot_ms=1_000), 0) == 60_000_000
     assert clock.read(frame("ATTITUDE", time_boot_ms=3_000), 0) == 62_000_000
@@ -73,7 +74,7 @@ def test_time_continues_after_a_reboot() -> None:
 
 def test_one_wrong_timestamp_changes_nothing() -> None:
     for wrong_ms in (80_001, 120_000, 4_000_000_000, 1_000):
-        clock = VehicleClock()
+        clock = VehicleClock(new_senders())
         clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
         assert clock.read(frame("ATTITUDE", time_boot_ms=wrong_ms), 10_000) == 60_000_000
         assert clock.read(frame("ATTITUDE", time_boot_ms=60_020), 20_000) == 60_020_000
@@ -81,7 +82,7 @@ def test_one_wrong_timestamp_changes_nothing() -> None:
 
 
 def test_a_time_jump_confirmed_by_a_second_timestamp_or_the_wall_clock_is_followed() -> None:
-    clock = VehicleClock()
+    clock = VehicleClock(new_senders())
     clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
     assert clock.read(frame("ATTITUDE", time_boot_ms=90_000), 10_000) == 60_000_000
     assert clock.read(frame("ATTITUDE", time_boot_ms=90_010), 20_000) == 90_010_000
@@ -91,7 +92,7 @@ def test_a_time_jump_confirmed_by_a_second_timestamp_or_the_wall_clock_is_follow
 
 def test_an_impossible_timestamp_is_read_as_none() -> None:
     for stamp in (1 << 53, (1 << 63) - 1, 1 << 63, (1 << 64) - 1):
-        clock = VehicleClock()
+        clock = VehicleClock(new_senders())
         assert clock.read(frame("HIL_SENSOR", time_usec=stamp), 55) == 55
         clock.read(frame("HIL_SENSOR", time_usec=1_000), 60)
         assert clock.read(frame("HIL_SENSOR", time_usec=stamp), 65) == 1_000
@@ -102,7 +103,7 @@ def test_microseconds_in_32_bits_are_not_a_clock() -> None:
     hours = 3 * 3600 * 1000
     outputs = frame("SERVO_OUTPUT_RAW", time_usec=(hours * 1000) % 2**32)
     assert stamp_us(outputs) == 0
-    clock = VehicleClock()
+    clock = VehicleClock(new_senders())
     clock.read(frame("ATTITUDE", time_boot_ms=hours), 0)
     for n in range(1, 5):
         assert clock.read(outputs, n) == (hours + n - 1) * 1000
@@ -110,7 +111,7 @@ def test_microseconds_in_32_bits_are_not_a_clock() -> None:
 
 
 def test_the_simulator_s_clock_becomes_the_timeline_whoever_stamped_before() -> None:
-    clock = VehicleClock()
+    clock = VehicleClock(new_senders())
     uptime_ms = 11_000_000
     clock.read(frame("ATTITUDE", time_boot_ms=uptime_ms), 0)
     assert clock.read(frame("HIL_SENSOR", component=51, time_usec=4_000), 0) == 4_000
@@ -124,6 +125,6 @@ def test_the_simulator_s_clock_becomes_the_timeline_whoever_stamped_before() -> 
 
 
 def test_a_simulator_on_unix_time_leaves_the_timeline_as_it_is() -> None:
-    clock = VehicleClock()
+    clock = VehicleClock(new_senders())
     clock.read(frame("ATTITUDE", time_boot_ms=60_000), 0)
     assert clock.read(frame("HIL_SENSOR", component=51, time_usec=UNIX_US), 0) == 60_000_000

@@ -4,7 +4,8 @@ from typing import Any
 from mavproxy_fault.fault_parts.elements import locate_element, patch_frame
 from mavproxy_fault.wire.dialect import message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
-from mavproxy_fault.wire.signing import Signing, derive_key, sign_frame, strip_signature
+from mavproxy_fault.wire.signing import Signing, derive_key, strip_signature
+from tests.signed_frames import sign_frame
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")

@@ -59,7 +59,7 @@ def free_loop(scenario: Path) -> Iterator[Loop]:
             simulation = Simulation(read_scenario(scenario))
             progress = Progress(0.0, io.StringIO())
             loop = server.FreeLoop(
-                simulation, near if hil else None, near if gcs else None, math.inf, progress
+                simulation, near if hil else None, [near] * gcs, math.inf, progress
             )
             return loop, far
 
@@ -104,6 +104,28 @@ def test_a_ground_station_sees_a_vehicle_that_starts_in_the_air_hold_its_height(
     last = {m.get_type(): m for m in messages}
     assert last["GLOBAL_POSITION_INT"].relative_alt == pytest.approx(100_000, abs=8_000)
     assert last["EXTENDED_SYS_STATE"].landed_state == dialect.MAV_LANDED_STATE_IN_AIR
+
+
+def test_every_ground_station_sees_the_vehicle_and_may_command_it(scenario: Path) -> None:
+    with ExitStack() as links:
+        ends = [links.enter_context(closing(open_link("udpin:127.0.0.1:0"))) for _ in range(2)]
+        near = [
+            links.enter_context(closing(open_link(end.name.replace("in", "out", 1))))
+            for end in ends
+        ]
+        simulation = Simulation(read_scenario(scenario))
+        progress = Progress(0.0, io.StringIO())
+        loop = server.FreeLoop(simulation, None, near, math.inf, progress)
+        loop.step()
+        for end in ends:
+            assert isinstance(end, UdpServer)
+            assert "HEARTBEAT" in [m.get_type() for m in received(end)]
+            request = dialect.MAVLink_command_long_message(1, 1, 520, 0, 1, 0, 0, 0, 0, 0, 0)
+            end.write(request.pack(dialect.MAVLink(None, srcSystem=255)))
+            answers: list[str] = []
+            while "COMMAND_ACK" not in answers:
+                loop.step()
+                answers = [m.get_type() for m in received(end)]
 
 
 def test_datagrams_have_complete_frames_and_fit_an_ethernet_frame() -> None:

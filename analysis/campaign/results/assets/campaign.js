@@ -35,6 +35,9 @@ function numbers(result) {
     .map(([key, text]) => `${result[key]} ${text}`).join(", ");
 }
 
+// Seconds, or a phase of flight, an event or a condition.
+function onset(value) { return typeof value === "number" ? `${value} s` : value; }
+
 function monitored(result) {
   const isolated = result.blamed ? `: ${result.blamed}` : "";
   const after = result.verdict_s === null ? "" : ` after ${result.verdict_s} s`;
@@ -83,7 +86,7 @@ function detail(row, cell) {
   element("h2", `${row.subject}: ${row.fault} ${cell.size}`, place);
   const table = element("table", undefined, wide(place, "Flights of the cell"));
   const head = element("tr", undefined, element("thead", undefined, table));
-  for (const name of ["outcome", "scenario", "onset", "for s", "seed", "numbers", "monitor"]) element("th", name, head);
+  for (const name of ["outcome", "scenario", "onset", "duration, s", "seed", "measured", "monitor"]) element("th", name, head);
   const body = element("tbody", undefined, table);
   const below = element("div", undefined, place);
   cell.results.forEach((number, i) => {
@@ -91,7 +94,7 @@ function detail(row, cell) {
     const line = element("tr", undefined, body);
     const facts = [numbers(result), result.detected_by, result.note, ...result.requirements].filter(Boolean).join("; ");
     element("button", result.outcome, element("td", undefined, line));
-    for (const text of [result.scenario, result.onset, result.duration_s, result.seed, facts, monitored(result)]) element("td", text, line);
+    for (const text of [result.scenario, onset(result.onset), result.duration_s, result.seed, facts, monitored(result)]) element("td", text, line);
     line.addEventListener("click", () => { chosen(line, "#detail tr"); curves(number, below); });
     if (i === 0) { line.classList.add("chosen"); curves(number, below); }
   });
@@ -111,14 +114,13 @@ function curves(number, place) {
   for (const [name, [t, value]] of Object.entries(faulty)) {
     const healthy = reference[name] ? joined(t, ...reference[name]) : t.map(() => null);
     element("h3", name, place);
-    const window = { hooks: { drawClear: [(u) => shade(u, result)] } };
+    const axis = { stroke: colour("--faint"), grid: { stroke: colour("--grid") } };
     const plot = new uPlot({
       ...plotSize(place), scales: { x: { time: false } },
-      series: [{ label: "s" }, { label: "with the fault", stroke: colour("--s1"), width: 1.6 },
+      series: [{ label: "t", value: (u, t) => t === null ? "–" : `${t} s` }, { label: "with the fault", stroke: colour("--s1"), width: 1.6 },
         { label: "reference", stroke: colour("--s0"), width: 1.4 }],
-      axes: [{ stroke: colour("--faint"), grid: { stroke: colour("--grid") } },
-        { stroke: colour("--faint"), grid: { stroke: colour("--grid") } }],
-      plugins: [window],
+      axes: [{ ...axis, values: (u, ticks) => ticks.map((t) => `${t} s`) }, axis],
+      hooks: { drawClear: [(u) => shade(u, result)] },
     }, [t, value, healthy], element("div", undefined, place));
     plots.push([plot, place]);
   }
@@ -128,8 +130,8 @@ function plotSize(place) { return { width: Math.min(1100, place.clientWidth || 1
 // Plots must not stay wider than a window that has become narrow.
 addEventListener("resize", () => { for (const [plot, place] of plots) plot.setSize(plotSize(place)); });
 
+// The reference flight's values at the flight's times.
 function joined(t, times, values) {
-  // The reference flight's values at the flight's times.
   let i = 0;
   return t.map((now) => {
     while (i + 1 < times.length && times[i + 1] <= now) i++;

@@ -9,7 +9,7 @@ function drawLanes(area, page, axis, readout) {
   const pen = document.createElement("canvas").getContext("2d");
   pen.font = "12px system-ui, sans-serif";
   const widest = Math.max(...lanes.map((lane) => pen.measureText(lane).width));
-  const room = Math.min(widest + 16, area.clientWidth * 0.4);
+  const room = Math.min(widest + 16, area.clientWidth / 2);
   const fitted = (lane) => {
     let text = lane;
     while (pen.measureText(text).width > room - 14 && text.length > 4) text = `${text.slice(0, -2)}…`;

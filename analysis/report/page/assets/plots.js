@@ -35,7 +35,8 @@ function axes(unit, axis, extra) {
     ticks: { stroke: colour("--grid"), width: 1 }, font: "12px system-ui, sans-serif" };
   return [
     { ...common, incrs: STEPS_S, space: axis.form === "s" ? 56 : 84, values: (u, ticks) => ticks.map((t) => axis.text(t, ticks[1] - ticks[0] < 1 ? 4 : 0)) },
-    { ...common, size: 62, label: unit || " ", labelSize: 18,
+    // Nine digits: uPlot by itself rounds to three decimals.
+    { ...common, size: 62, label: unit || " ", labelSize: 18, values: (u, ticks) => ticks.map((y) => y === null ? "" : String(+y.toPrecision(9))),
       labelFont: "12px system-ui, sans-serif", ...extra },
   ];
 }

@@ -54,3 +54,11 @@ def test_a_planes_pitot_tube_is_calibrated_before_the_flight(tmp_path, bias_pa, 
     )
     found = run_parameters(Simulation(read_scenario(str(file))), 50.0)
     assert found["SENS_DPRES_OFF"] == pytest.approx(offset)
+
+
+def test_a_planes_trim_throttle_holds_its_trim_airspeed(tmp_path):
+    flight = simulation(tmp_path, "fixedwing", "aerosonde-2025")
+    values = run_parameters(flight, 50.0)
+    trim = flight.vehicle.trim(values["FW_AIRSPD_TRIM"], 1.225, 9.80665)
+    assert values["FW_THR_TRIM"] == pytest.approx(trim.throttle)
+    assert 0.7 < trim.throttle < 0.9  # measured in level flight under PX4: 0.78

@@ -7,7 +7,7 @@ import pytest
 
 from analysis.autopilots.hil_exchange import BRIDGE_STEP, PX4_STEP
 from analysis.autopilots.px4 import px4_process
-from analysis.autopilots.running_autopilot import RunningAutopilot, StartupPacer
+from analysis.autopilots.running_autopilot import Pacer, RunningAutopilot
 from mavproxy_fault.documents.errors import ConfigError
 from simvehicle.scenario.scenario_file import read_scenario
 from simvehicle.simulation.simulation import Simulation
@@ -58,10 +58,10 @@ def test_the_speed_is_limited_until_the_start_script_has_ended(
     monkeypatch.setattr("time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
     log = tmp_path / "px4.log"
     log.write_text("INFO  [px4] startup script: rcS 0\n")
-    start = StartupPacer(RunningAutopilot("PX4", None, [], log, PX4_STEP, px4_process.STARTUP_TEXT))
+    start = Pacer(RunningAutopilot("PX4", None, [], log, PX4_STEP, px4_process.STARTUP_TEXT))
     printed = started_s is None
     for tick in range(80_000):  # 320 s of a vehicle that takes no wall time
-        start.wait_for_pace(1_000_000 + 4000 * tick)
+        start.wait_for_pace(1_000_000 + 4000 * tick, careful=False)
         if not printed and now[0] >= 100.0 + started_s:
             printed = log.write_text("INFO  [px4] Startup script returned successfully\n") > 0
     assert now[0] - 100.0 == pytest.approx(limited_s, abs=0.2)
@@ -69,9 +69,19 @@ def test_the_speed_is_limited_until_the_start_script_has_ended(
 
 def test_the_speed_is_not_limited_for_an_autopilot_without_startup_text(tmp_path, monkeypatch):
     monkeypatch.setattr("time.sleep", lambda seconds: pytest.fail("slept"))
-    start = StartupPacer(RunningAutopilot("ArduPilot", None, [], tmp_path / "none", BRIDGE_STEP))
-    start.wait_for_pace(0)
-    start.wait_for_pace(10_000_000)
+    start = Pacer(RunningAutopilot("ArduPilot", None, [], tmp_path / "none", BRIDGE_STEP))
+    start.wait_for_pace(0, careful=False)
+    start.wait_for_pace(10_000_000, careful=False)
+
+
+def test_the_speed_is_limited_while_a_mission_is_transferred(tmp_path, monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    monkeypatch.setattr("time.sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
+    pacer = Pacer(RunningAutopilot("ArduPilot", None, [], tmp_path / "none", BRIDGE_STEP))
+    for t_us in range(0, 60_000_000, 4000):  # a transfer from 20 to 24 and from 40 to 44 s
+        pacer.wait_for_pace(t_us, careful=t_us % 20_000_000 < 4_000_000 <= t_us)
+    assert now[0] - 100.0 == pytest.approx(2 * 4.0 / 4.0, abs=0.1)
 
 
 def test_two_runs_at_once_are_two_instances():

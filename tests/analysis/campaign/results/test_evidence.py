@@ -3,14 +3,22 @@
 import csv
 import shlex
 import shutil
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
 
 from analysis.campaign.campaign_file import FaultChoice, SubjectChoice, read_campaign
 from analysis.campaign.cell import Cell, CellResult
-from analysis.campaign.results.evidence import describe_fault, repeatable_part
+from analysis.campaign.results.evidence import (
+    describe_fault,
+    fmea_row,
+    render_page,
+    repeatable_part,
+)
+from analysis.campaign.results.outcome_grid import outcome_grid
 from mavproxy_fault import cli
 
 HERE = Path(__file__).parents[1]
@@ -50,6 +58,22 @@ def test_each_row_is_made_again_by_its_command(folder: Path, monkeypatch) -> Non
     assert program == "mavproxy-fault"
     assert cli.main([*words, *arguments, "row"]) == 1
     assert rows_of(Path("again") / "fmea.csv") == [severe]
+
+
+@pytest.mark.browser
+def test_nobody_is_kept_from_the_page(
+    folder: Path, browser: Any, find_barriers: Callable[[Any], list[str]]
+) -> None:
+    campaign = read_campaign(folder / "small.yaml")
+    result = CellResult(Cell("mahony", "short.yaml", "gyro", 2.0, 2.0, 2.0), "lost")
+    (row,) = outcome_grid([result], campaign)
+    (folder / "rows").mkdir()
+    rows = {"fmea": [fmea_row(campaign, row, row.cells[0], folder)], "requirements": []}
+    (folder / "evidence.html").write_text(render_page(campaign, rows), encoding="utf-8")
+    page = browser.new_page()
+    page.goto((folder / "evidence.html").as_uri())
+    assert find_barriers(page) == []
+    page.close()
 
 
 @pytest.mark.parametrize(("subject", "same"), [("px4", True), ("mahony", False)])

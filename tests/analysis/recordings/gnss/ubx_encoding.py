@@ -94,9 +94,13 @@ def klobuchar_page(alpha: Sequence[float], beta: Sequence[float]) -> list[int]:
     return _words_30(4, [(1, 2), (56, 6), *values, (0, 120)])
 
 
+def _packed(rows: list[Field]) -> bytes:
+    return pack_columns(((value,), width) for value, width in rows)
+
+
 def _words_30(number: int, rows: list[Field]) -> list[int]:
     head = [(0x8B, 8), (0, 16), (1234, 17), (0, 2), (number, 3), (0, 2)]
-    data = pack_columns(((value,), width) for value, width in [*head, *rows])
+    data = _packed([*head, *rows])
     assert len(data) == 30
     return [int.from_bytes(data[k : k + 3], "big") << 6 for k in range(0, 30, 3)]
 
@@ -120,10 +124,7 @@ def inav_pages(e: Ephemeris) -> list[list[int]]:
         [(5, 6), (0, 41), (count(e.group_delay_e5a_s, -32), 10), (count(e.group_delay_s, -32), 10),
          (e5b >> 1, 2), (e1 >> 1, 2), (e5b & 1, 1), (e1 & 1, 1), (0, 55)],
     ]  # fmt: skip
-    return [
-        _page(int.from_bytes(pack_columns(((value,), width) for value, width in rows), "big"))
-        for rows in words
-    ]
+    return [_page(int.from_bytes(_packed(rows), "big")) for rows in words]
 
 
 def _page(word: int) -> list[int]:

@@ -48,7 +48,7 @@ def flown(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Flown]:
     simulation = Simulation(read_scenario(path))
     stop = threading.Event()
     with closing(open_link(f"udpout:127.0.0.1:{port}")) as link:
-        loop = FreeLoop(simulation, None, link, SPEED, Progress(0.0, io.StringIO()))
+        loop = FreeLoop(simulation, None, [link], SPEED, Progress(0.0, io.StringIO()))
         loop.step()
 
         def fly() -> None:
