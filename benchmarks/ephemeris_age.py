@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.orbits.broadcast import CLOCK, POSITION, WEEK_S, pack_ephemeris, satellite_states
+from analysis.orbits.broadcast import CLOCK, POSITION, pack_ephemeris, satellite_states
 from analysis.recordings.gnss.rinex_navigation import read_navigation
 from analysis.samples.sample import EphemerisSample
+from mavproxy_fault.rinex.gps_clock import WEEK_S
 
 MOST_H = 5.0
 

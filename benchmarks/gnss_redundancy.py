@@ -27,7 +27,7 @@ from analysis.detection.filter.inertial import X_SIZE
 from analysis.detection.filter.measurement import observe_epoch, predict_innovations
 from analysis.detection.learn_noise import learn_noise
 from analysis.detection.stages.initial_fix import solve_snapshot
-from analysis.orbits.snapshot import design_matrix
+from analysis.orbits.broadcast import design_matrix
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample, Sample
 from mavproxy_fault.documents.yaml_document import read_document

@@ -14,10 +14,11 @@ from analysis.detection.detector_state import (
     EpochTiming,
 )
 from analysis.detection.filter.ephemerides import BroadcastData, unusable_reason
-from analysis.detection.filter.measurement import EpochObservation
+from analysis.detection.filter.measurement import EpochObservation, observe
 from analysis.detection.filter.propagation import add_pending, split_pending, update_interval_s
 from analysis.detection.isolation.epoch_memory import NOTHING_FROZEN
 from analysis.detection.isolation.exclusion import Exclusions, add_exclusions
+from analysis.detection.isolation.range_difference import compare_ranges
 from analysis.detection.isolation.trust import CONFIRMING_EPOCHS, LEAST_START_DOF
 from analysis.detection.stages.clock_drift import clock_results
 from analysis.detection.stages.decision_record import (
@@ -34,7 +35,6 @@ from analysis.detection.stages.ephemeris_fault import (
 )
 from analysis.detection.stages.epoch_stages import late_onsets, repair, run_stages
 from analysis.detection.stages.initial_fix import check_against_prior, solve_initial_fix
-from analysis.detection.stages.observe import observe
 from analysis.detection.stages.receiver_fix import step_position
 from analysis.results import Decision, Result
 from analysis.samples.block import EPOCH, FIX, Block, BlockSlice, ImuRun, block_of, split_at_events
@@ -132,7 +132,7 @@ class Detector(EventDetector[DetectorState]):
     ) -> tuple[list[Result], DetectorCore, ImuRun]:
         """The decisions on an epoch, the core after it, and the IMU's samples still pending."""
         before, excluded = core, core.trust.excluded
-        observation, broadcast = observe(epoch, core.broadcast, self.config.systems)
+        observation, broadcast = observe(epoch, core.broadcast, self.config)
         core = core._replace(broadcast=broadcast)
         if observation is None:
             reason = unusable_reason(epoch, broadcast.ephemerides)
@@ -146,7 +146,14 @@ class Detector(EventDetector[DetectorState]):
             return *self._start(epoch, observation, core), pending
         interval_s = update_interval_s(core.imu.interval_s, run)
         core = core._replace(imu=core.imu._replace(mag_b=mag_b, interval_s=interval_s))
-        return *self._run_stages(epoch, observation, run, core), pending
+        assert core.motion is not None
+        motion, known, ionosphere = core.motion, core.differences, broadcast.ionosphere
+        found, known, excluded = compare_ranges(
+            epoch, observation, motion, known, core.trust.excluded, ionosphere, self.config
+        )
+        core = core._replace(trust=core.trust._replace(excluded=excluded), differences=known)
+        results, core = self._run_stages(epoch, observation, run, core)
+        return [*results, *found], core, pending
 
     def _continue(self, core: DetectorCore, t_us: int) -> tuple[DetectorCore, str]:
         """The core at an epoch, reset where a gap or a jump of time demands it; or why the epoch

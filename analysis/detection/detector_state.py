@@ -6,11 +6,14 @@ A part is defined in the package that it serves: `ImuStatus` and `BroadcastData`
 
 from typing import NamedTuple
 
+import msgspec
+
 from analysis.detection.filter.ephemerides import BroadcastData
 from analysis.detection.filter.filter_state import ImuStatus, MotionEstimate
 from analysis.detection.filter.measurement import EpochObservation
 from analysis.detection.filter.propagation import NO_RUN, ImuSegment, imu_segment
 from analysis.detection.isolation.epoch_memory import EpochMemory
+from analysis.detection.isolation.range_difference import Differences
 from analysis.detection.isolation.trust import Trust
 from analysis.detection.receiver.receiver_state import ReceiverState
 from analysis.detection.values import Value
@@ -34,7 +37,8 @@ class EpochTiming(Value, frozen=True):
 class DetectorCore(Value, frozen=True):
     """Everything that an epoch reads and updates; `motion` is the filter (None: not started).
 
-    `history` holds the newest epochs, so that the filter can be repaired.
+    `differences` are those of each satellite's two ranges; `history` holds the newest epochs, so
+    that the filter can be repaired.
     """
 
     motion: MotionEstimate | None
@@ -44,6 +48,7 @@ class DetectorCore(Value, frozen=True):
     memory: EpochMemory = EpochMemory()
     receiver: ReceiverState = ReceiverState()
     timing: EpochTiming = EpochTiming()
+    differences: Differences = msgspec.field(default_factory=dict)
     history: "tuple[EpochRecord, ...]" = ()
 
 

@@ -16,17 +16,11 @@ from msgspec.structs import replace
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector import Detector
-from analysis.detection.filter.ephemerides import select_ephemerides
 from analysis.detection.filter.inertial import X_SIZE
-from analysis.detection.filter.measurement import (
-    EpochObservation,
-    observe_epoch,
-    predict_innovations,
-)
+from analysis.detection.filter.measurement import EpochObservation, observe, predict_innovations
 from analysis.detection.filter.range_noise import SigmaModel
 from analysis.detection.stages.initial_fix import solve_snapshot
-from analysis.orbits.broadcast import CLOCKS
-from analysis.orbits.snapshot import design_matrix, systems_of
+from analysis.orbits.broadcast import CLOCKS, NOISE, design_matrix, systems_of
 from analysis.samples.block import Indices
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample, Sample, Vector
 from mavproxy_fault.documents.document_check import decode
@@ -164,8 +158,7 @@ def _residuals(samples: Iterable[Sample], config: DetectorConfig) -> tuple[Vecto
     step = 2 * max(len(epochs) // MOST_EPOCHS, 1)
     # In pairs: the next epoch shows what lasts.
     for epoch in (epoch for i, epoch in enumerate(epochs) if i % step < 2):
-        selection = select_ephemerides(epoch, broadcast.ephemerides, config.systems)
-        observation = observe_epoch(epoch, selection)
+        observation, broadcast = observe(epoch, broadcast, config)
         if observation is None:
             continue
         start = np.zeros(X_SIZE) if near is None else near
@@ -199,7 +192,8 @@ def _epoch_residuals(
     known = own > LEAST_OWN
     sine, cn0 = np.sin(found.elevation_rad), observation.measurements.cn0_dbhz
     cn0 = np.where(np.isfinite(cn0), np.maximum(cn0, 0.0), 45.0)
-    residual /= np.sqrt(np.maximum(own, LEAST_OWN))
+    # A combination of two ranges counts as one of them.
+    residual /= np.sqrt(np.maximum(own, LEAST_OWN) * observation.measurements.packed[:, NOISE])
     number = [100 * ord(name[0]) + int(name[1:]) for name in observation.satellites]
     yield np.column_stack([system, sine, cn0, residual, np.full(len(own), t_s), number])[known]
     heard = np.isfinite(found.rate_mps)

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from analysis.fusion.graph import Graph
@@ -41,14 +40,4 @@ def fused_state(graph: Graph, name: str, weights: dict[str, float], reason: str)
         attitude_sigma_deg=each[4] if graph.aligned else UNKNOWN_DEG,
         weights=weights,
         reason=reason,
-    )
-
-
-def repeat_last_state(last: FusedState, t_us: int, why: str) -> FusedState:
-    """Repeat the last state, where there is no other."""
-    return msgspec.structs.replace(
-        last,
-        t_us=t_us,
-        weights={},  # nothing was used
-        reason=f"the graph failed ({why}); this is the last state",
     )

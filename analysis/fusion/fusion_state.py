@@ -12,7 +12,7 @@ from analysis.detection.values import Value
 from analysis.fusion.graph import Graph
 from analysis.fusion.learned_noise import LearnedNoise
 from analysis.results import Decision, FusedState, Result
-from analysis.samples.block import ATTITUDE, IMU, TRUTH, ImuRun, Indices
+from analysis.samples.block import ImuRun
 from analysis.samples.sample import Sample
 
 
@@ -71,8 +71,3 @@ class FusionState:
         """Drop the samples up to a time."""
         later = self.imu.t_us > until_us
         self.imu = ImuRun(self.imu.t_us[later], self.imu.values[later])
-
-
-def sample_rows(kind: Indices, first: int, last: int) -> Indices:
-    """Rows from `first` to `last` of a block that are processed singly."""
-    return first + np.flatnonzero(~np.isin(kind[first : last + 1], (IMU, TRUTH, ATTITUDE)))

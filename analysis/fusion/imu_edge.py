@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from analysis.detection.filter.filter_config import ProcessNoise
 from analysis.detection.filter.filter_state import MotionEstimate
-from analysis.detection.filter.process_noise import ProcessNoise
 from analysis.detection.filter.propagation import (
     RATE_SIGMA_RPS,
     ImuSegment,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from msgspec.structs import replace
 
-from analysis.detection.filter.process_noise import ProcessNoise
+from analysis.detection.filter.filter_config import ProcessNoise
 from analysis.samples.sample import Vector
 
 # Time constants: long against an epoch, short against a flight.

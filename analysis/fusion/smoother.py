@@ -5,14 +5,14 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec.structs import replace as with_fields
 
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore
-from analysis.detection.filter.ephemerides import select_ephemerides
+from analysis.detection.filter.filter_config import ProcessNoise
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import X_ISB
-from analysis.detection.filter.measurement import observe_epoch
-from analysis.detection.filter.process_noise import ProcessNoise
+from analysis.detection.filter.measurement import observe
 from analysis.detection.filter.propagation import ImuSegment
 from analysis.fusion.factors.factor_weights import (
     faulty_rates,
@@ -24,9 +24,9 @@ from analysis.fusion.factors.gnc import find_outliers
 from analysis.fusion.factors.range_factors import EpochRanges
 from analysis.fusion.factors.sensor_factors import SOURCE_NAMES, SensorFactors
 from analysis.fusion.filter_check import blend_with_filter, filter_contradiction
-from analysis.fusion.fused_record import fused_state, repeat_last_state
+from analysis.fusion.fused_record import fused_state
 from analysis.fusion.fusion_config import FusionConfig
-from analysis.fusion.fusion_state import FusionEpoch, FusionState, sample_rows
+from analysis.fusion.fusion_state import FusionEpoch, FusionState
 from analysis.fusion.graph import Attitude, Graph
 from analysis.fusion.graph_start import (
     attitude_in_frame,
@@ -35,13 +35,14 @@ from analysis.fusion.graph_start import (
 )
 from analysis.fusion.imu_edge import Edge, segment_between
 from analysis.results import Decision, FusedState, Result, SensorDecision
-from analysis.samples.block import BlockSlice
+from analysis.samples.block import ATTITUDE, IMU, TRUTH, BlockSlice
 from analysis.samples.sample import Epoch, Sample
 
 GOOD_ATTITUDE_RAD = 0.1  # with a smaller sigma the attitude needs no help from the detector
 IMU_SUSPECT_SHARE = 0.5  # of the threshold: an isolated IMU's factors are removed from here on
 NOISE_HYPOTHESES = ("none", "satellites")  # under which residuals are noise
 CLOCK_JUMP_M = 1e5  # sigma of a jump that the detector reported: leaves the clock to the ranges
+IN_ROWS = IMU, TRUTH, ATTITUDE  # kinds of samples that are used in runs, or not at all
 SOLVER_ERRORS = (RuntimeError, ValueError, IndexError)  # raised by GTSAM and numpy
 
 
@@ -64,7 +65,9 @@ class Fusion:
         place; `results` and `core` are the detector's at the event."""
         state.add_imu(piece.imu if core.imu.id is None else piece.of_imu(core.imu.id))
         states: list[Result] = []
-        for row in sample_rows(piece.block.kind, piece.first, piece.last).tolist():
+        kinds = piece.block.kind[piece.first : piece.last + 1]
+        # The others are processed singly.
+        for row in (piece.first + np.flatnonzero(~np.isin(kinds, IN_ROWS))).tolist():
             of_row = results if row == piece.last else ()
             fused, state = self._step_sample(piece.block.sample(row), of_row, core, state)
             states += fused
@@ -235,13 +238,9 @@ class Fusion:
         self, graph: Graph, now: FusionEpoch, state: FusionState
     ) -> dict[str, float]:
         """Attach the epoch's ranges; returns the weights of those used."""
-        if (
-            not isinstance(now.sample, Epoch)
-            or now.motion is None
-            or now.core.broadcast.selection is None
-        ):
+        if not isinstance(now.sample, Epoch) or now.motion is None:
             return {}
-        observation = observe_epoch(now.sample, now.core.broadcast.selection)
+        observation, _ = observe(now.sample, now.core.broadcast, self.detector)
         if observation is None:
             return {}
         core, config, decision, noise = now.core, self.config, now.decision, state.noise
@@ -285,8 +284,7 @@ class Fusion:
     ) -> None:
         """Attach late ranges: the detector cannot test them, so their residuals give the
         weights."""
-        chosen = select_ephemerides(sample, core.broadcast.ephemerides, self.detector.systems)
-        observation = observe_epoch(sample, chosen)
+        observation, _ = observe(sample, core.broadcast, self.detector)
         if observation is None or core.motion is None:
             return
         node = graph.insert_late(sample.t_us)
@@ -310,7 +308,10 @@ class Fusion:
             with suppress(*SOLVER_ERRORS):
                 return self._begin(now.motion, now, state)
         state.graph, state.notes = None, []
-        return repeat_last_state(state.last, now.decision.t_us, why) if state.last else None
+        if state.last is None:
+            return None
+        reason, t_us = f"the graph failed ({why}); this is the last state", now.decision.t_us
+        return with_fields(state.last, t_us=t_us, weights={}, reason=reason)  # nothing was used
 
 
 def _unbounded(sample: Sample, decision: Decision) -> bool:

@@ -20,6 +20,7 @@ import math
 import numpy as np
 
 from analysis.orbits.glonass import propagate_state
+from analysis.samples.block import Indices
 from analysis.samples.sample import Orbit, PreciseOrbit, StateVector, Vector
 from mavproxy_fault.numerics.compile import compiled
 from mavproxy_fault.numerics.constants import (
@@ -31,7 +32,8 @@ from mavproxy_fault.numerics.constants import (
     WGS84_GM_M3PS2,
 )
 from mavproxy_fault.numerics.earth_kernel import geodetic_position, ned_axes
-from mavproxy_fault.rinex.gps_clock import BEIDOU_OFFSET_S
+from mavproxy_fault.rinex.gps_clock import BEIDOU_OFFSET_S, WEEK_S
+from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 # First letters of satellite names: GPS, Galileo, GLONASS, BeiDou, QZSS.
 SYSTEMS = "GERCJ"
@@ -41,8 +43,8 @@ CLOCK_OF = {"G": 0, "E": 1, "R": 2, "C": 3, "J": 0}
 CLOCKS = 4
 GEOSTATIONARY = (*range(1, 6), *range(59, 64))  # of BeiDou, by satellite number
 B1I_HZ = 1561.098e6
+E5A_HZ = 1176.45e6
 B3I_HZ = 1268.52e6  # BeiDou's clock reference: no group delay
-WEEK_S = 604_800.0
 
 # Klobuchar coefficients of a day with low to moderate solar activity, used if none are broadcast.
 TYPICAL_ALPHA = (1.118e-8, 7.451e-9, -5.96e-8, -5.96e-8)
@@ -57,7 +59,7 @@ _FIELDS = (*_CLOCK_FIELDS, *_ORBIT_FIELDS, *_RATE_FIELDS, *_WAVE_FIELDS, "group_
 (MU, WEEK) = range(2)
 (TOE, TOC, AF0, AF1, AF2) = range(2, 7)
 (SQRT_A, ECCENTRICITY, I0, OMEGA0, OMEGA, M0, DELTA_N, OMEGA_DOT, IDOT) = range(7, 16)
-(CRS, CRC, CUS, CUC, CIS, CIC, GROUP_DELAY, KIND, IONOSPHERE, PACKED) = range(16, 26)
+(CRS, CRC, CUS, CUC, CIS, CIC, GROUP_DELAY, KIND, IONOSPHERE, NOISE, PACKED) = range(16, 27)
 VECTOR = SQRT_A  # of a GLONASS state vector (9), or of a polynomial (15)
 ELEMENTS, GEOSTATIONARY_ORBIT, STATE_VECTOR, POLYNOMIAL = 0.0, 1.0, 2.0, 3.0  # kinds of orbit
 # Columns of `satellite_states`.
@@ -68,18 +70,21 @@ RANGE, RATE, LINE_OF_SIGHT, ELEVATION, AZIMUTH, DELAY, PREDICTED = 0, 1, 2, 5, 6
 
 
 def pack_ephemeris(ephemeris: Orbit) -> Vector:
-    """Pack one ephemeris as an array (25,): mu, week, `_FIELDS` in order, the kind of orbit (0
+    """Pack one ephemeris as an array (26,): mu, week, `_FIELDS` in order, the kind of orbit (0
     Kepler elements, 1 those of a geostationary satellite, 2 a state vector, 3 a polynomial in
-    place of the elements), and the ratio of the ionospheric delay to that on L1."""
+    place of the elements), the ratio of the ionospheric delay to that on L1, and that of the
+    range's variance to one of a single frequency."""
     if isinstance(ephemeris, PreciseOrbit):
         e = ephemeris
         clock = e.toe_s, e.toe_s, e.af0_s, e.af1, 0.0
-        return np.array([0.0, e.week, *clock, *e.terms, e.group_delay_s, POLYNOMIAL, 1.0])
+        return np.array([0.0, e.week, *clock, *e.terms, e.group_delay_s, POLYNOMIAL, 1.0, 1.0])
     if isinstance(ephemeris, StateVector):
         clock = ephemeris.toe_s, ephemeris.toe_s, ephemeris.af0_s, ephemeris.af1, 0.0
         orbit = *ephemeris.r_m, *ephemeris.v_mps, *ephemeris.a_mps2
         rest = KIND - TOE - len(clock) - len(orbit)
-        return np.array([0.0, ephemeris.week, *clock, *orbit, *[0.0] * rest, STATE_VECTOR, 1.0])
+        return np.array(
+            [0.0, ephemeris.week, *clock, *orbit, *[0.0] * rest, STATE_VECTOR, 1.0, 1.0]
+        )
     values = {name: float(getattr(ephemeris, name)) for name in _FIELDS}
     # Both times count from the week of toe; around its start toc may be of the week before.
     values["toc_s"] -= round((values["toc_s"] - values["toe_s"]) / WEEK_S) * WEEK_S
@@ -93,15 +98,37 @@ def pack_ephemeris(ephemeris: Orbit) -> Vector:
         values["omega_dot_rps"] += 0.0 if still else GNSS_EARTH_RATE_RPS - BEIDOU_EARTH_RATE_RPS
     mu = GPS_GM_M3PS2 if ephemeris.satellite[0] in "GJ" else WGS84_GM_M3PS2
     kind = GEOSTATIONARY_ORBIT if still else ELEMENTS
-    return np.array([mu, float(ephemeris.week), *values.values(), kind, 1.0])
+    return np.array([mu, float(ephemeris.week), *values.values(), kind, 1.0, 1.0])
 
 
-def packed_for_carrier(packed: Vector, carrier_hz: float) -> Vector:
-    """A packed ephemeris (25,) for another carrier than L1: scales the ionospheric delay."""
+def free_share(first_hz: Vector | float, second_hz: Vector | float) -> Vector:
+    """The weight of the first range in the ionosphere-free combination; the second has the rest."""
+    return np.asarray(1.0 / (1.0 - np.square(second_hz / first_hz)))
+
+
+def packed_for(
+    packed: Vector, ephemeris: Orbit, carrier_hz: float, second_hz: float | None
+) -> Vector:
+    """A packed ephemeris (26,) for another carrier than L1, or for the ionosphere-free combination
+    of its range with a second one.
+
+    The clocks of GPS, QZSS and GLONASS are those of the combination of L1 and L2, Galileo's that of
+    E1 and E5b, or E5a by the message, BeiDou's that of B3I alone [1]_ [2]_.
+    """
     packed = packed.copy()
-    packed[IONOSPHERE] = (L1_HZ / carrier_hz) ** 2
-    if carrier_hz == B3I_HZ:
-        packed[GROUP_DELAY] = 0.0
+    if second_hz is None:
+        packed[IONOSPHERE] = (L1_HZ / carrier_hz) ** 2
+        packed[GROUP_DELAY] *= carrier_hz != B3I_HZ
+        return packed
+    share = free_share(carrier_hz, second_hz).item()
+    if ephemeris.satellite[0] == "C":
+        delay_s = share * packed[GROUP_DELAY]
+    elif second_hz == E5A_HZ and isinstance(ephemeris, Ephemeris):
+        delay_s = ephemeris.group_delay_s - ephemeris.group_delay_e5a_s
+    else:
+        delay_s = 0.0
+    packed[GROUP_DELAY], packed[IONOSPHERE] = delay_s, 0.0
+    packed[NOISE] = share**2 + (1.0 - share) ** 2
     return packed
 
 
@@ -111,7 +138,7 @@ def satellite_states(packed: Vector, week: float, tow_s: float, pseudorange_m: V
 
     Parameters
     ----------
-    packed : (n, 25), rows of `pack_ephemeris`
+    packed : (n, 26), rows of `pack_ephemeris`
     week, tow_s : GPS time of reception on the receiver's clock
     pseudorange_m : (n,)
 
@@ -328,3 +355,15 @@ def predict_ranges(
         out[i, ELEVATION] = el
         out[i, AZIMUTH] = az
     return out
+
+
+def systems_of(system: Indices) -> list[int]:
+    """The distinct systems in `system` (n,), by `CLOCK_OF`; the first has no bias."""
+    return sorted(set(system.tolist()))
+
+
+def design_matrix(los: Vector, system: Indices) -> Vector:
+    """Geometry (n, 3 + systems) of one epoch: negative lines of sight, clock, systems' biases."""
+    columns = [-los, np.ones((len(los), 1))]
+    columns += [(system == kind)[:, None].astype(float) for kind in systems_of(system)[1:]]
+    return np.hstack(columns)

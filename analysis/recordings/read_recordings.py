@@ -72,16 +72,14 @@ def read_rinex(
     from analysis.recordings.gnss.precise_files import NAMES, precise_samples, read_precise
     from analysis.recordings.gnss.receiver_logs import is_receiver_log, read_receiver_log
     from analysis.recordings.gnss.rinex_navigation import read_navigation
-    from analysis.recordings.gnss.rinex_observations import epochs_of, read_observations
+    from analysis.recordings.gnss.rinex_observations import read_observations
 
     files = [navigation] if isinstance(navigation, Path) else list(navigation)
     broadcast: list[EphemerisSample | IonosphereSample] = []
     if is_receiver_log(observations):
         epochs, broadcast = read_receiver_log(observations)
     else:
-        epochs = (
-            read_observations(observations) if lines is None else epochs_of(observations, lines)
-        )
+        epochs = read_observations(observations, lines)
     if not epochs:
         raise ConfigError(f"{observations}: no epoch has a readable pseudorange; give another file")
     precise = [path for path in files if NAMES.search(path.name)]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from analysis.detection.filter.range_noise import SigmaModel
-from analysis.detection.sky_geometry import RecordedSky
+from analysis.detection.recorded_sky import RecordedSky
 from analysis.monitor.monitor import Monitor
 from analysis.monitor.pipeline import MonitorConfig
 from analysis.monitor.publish import Publisher

@@ -79,7 +79,9 @@ class Epoch:
     `week` and `tow_s` are GPS time by the receiver's clock; `doppler_mps` is the range rate (NaN
     where there is none); satellites are named `G12`, `E05`, `R07`, `C21`. `carrier_hz` is the
     carrier frequency of each range and never changes for a satellite; None: all on L1 or E1.
-    `signals` are RINEX signal codes (`1C`); empty if unknown.
+    `signals` are RINEX signal codes (`1C`); empty if unknown. `second` are the ranges of the same
+    satellites on a second frequency, NaN where there is none; `is_free` says that the ranges are
+    the ionosphere-free combinations of both.
     """
 
     t_us: int
@@ -91,6 +93,8 @@ class Epoch:
     cn0_dbhz: Vector
     carrier_hz: Vector | None = None
     signals: tuple[str, ...] = ()
+    second: "Epoch | None" = None
+    is_free: bool = False
 
     def select(self, keep: Sequence[int]) -> "Epoch":
         """The epoch restricted to the satellites with the indices `keep`."""
@@ -103,6 +107,7 @@ class Epoch:
             cn0_dbhz=self.cn0_dbhz[at],
             carrier_hz=None if self.carrier_hz is None else self.carrier_hz[at],
             signals=tuple(self.signals[i] for i in at) if self.signals else (),
+            second=None if self.second is None else self.second.select(at),
         )
 
 

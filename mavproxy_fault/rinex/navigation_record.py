@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rinex.gps_clock import BEIDOU_OFFSET_S, WEEK_S, normalized, time_of_words
-from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
+from mavproxy_fault.rinex.rinex_text import check_header, read_rinex_text
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris, ephemeris_of
 
 # Four per line, with the names of `Ephemeris`. "delay" is T_GD, BGD(E1,E5a) or BeiDou's T_GD1;
@@ -74,15 +74,11 @@ class NavigationRecord(NamedTuple):
         return bool(bits & FNAV) and not bits & INAV
 
 
-class NavigationFile(NamedTuple):
-    """Records in file order, and Klobuchar coefficients (alpha, beta) if there are any."""
-
-    records: list[NavigationRecord]
-    klobuchar: tuple[Coefficients, Coefficients] | None
-
-
-def read_navigation_file(path: Path) -> NavigationFile:
-    """Read a navigation file, compressed or not.
+def read_navigation_file(
+    path: Path,
+) -> tuple[list[NavigationRecord], tuple[Coefficients, Coefficients] | None]:
+    """The records of a navigation file, compressed or not, in its order, and its Klobuchar
+    coefficients (alpha, beta), if there are any.
 
     Raises
     ------
@@ -90,7 +86,7 @@ def read_navigation_file(path: Path) -> NavigationFile:
         If the file is not a RINEX navigation file, or has damaged Klobuchar coefficients.
     """
     lines = read_rinex_text(path)
-    header_of(path, lines, KINDS, "a navigation file")
+    check_header(path, lines, KINDS, "a navigation file")
     found: dict[str, Coefficients] = {}
     try:
         for name, words in _klobuchar_words(lines):
@@ -98,8 +94,7 @@ def read_navigation_file(path: Path) -> NavigationFile:
             found[name] = a, b, c, d
     except ValueError as error:
         raise ConfigError(f"{path}: an ionosphere field is not a number ({error})") from error
-    records = list(_records(lines))
-    return NavigationFile(records, (found["A"], found["B"]) if len(found) == 2 else None)
+    return list(_records(lines)), (found["A"], found["B"]) if len(found) == 2 else None
 
 
 def _klobuchar_words(lines: Sequence[str]) -> Iterator[tuple[str, list[str]]]:

@@ -9,14 +9,30 @@ References
 
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import msgspec
 
 FIELD = 16  # width of an observation: F14.3, loss of lock, signal strength
 NAME = 3  # a line of RINEX 3 begins with the satellite's name
-PER_LINE_2 = 5  # observations in a line of RINEX 2
+PER_LINE_2, MOST_TYPES = 5, 1000  # observations in a line of RINEX 2, and of RINEX 3
 # The time system of a file of one satellite system that does not name another.
 OWN_CLOCK = {"R": "GLO", "E": "GAL", "C": "BDT", "J": "QZS"}
+
+
+class ObservationField(NamedTuple):
+    """One field of a satellite: its type (`C1C`, or `C1` in RINEX 2), line and column, and the
+    factor of the stored number."""
+
+    name: str
+    at: int
+    column: int
+    scale: float = 1.0
+
+    @property
+    def signal(self) -> str:
+        """The part of the type that all observations of one signal share."""
+        return self.name[1:]
 
 
 class ObservationHeader(msgspec.Struct, frozen=True, eq=False):
@@ -38,19 +54,20 @@ class ObservationHeader(msgspec.Struct, frozen=True, eq=False):
         """The time system of the epochs."""
         return self.time_system or OWN_CLOCK.get(self.system, "GPS")
 
-    def types_of(self, satellite: str) -> tuple[str, ...]:
-        """The observation types of a satellite, in field order."""
-        return self.types.get("" if self.version < 3.0 else satellite[:1], ())
-
-    def scale_of(self, satellite: str, kind: str) -> float:
-        """By how much the stored number of a type exceeds the observation."""
-        return self.scales.get((satellite[:1], kind), 1.0)
-
-    def place(self, field: int) -> tuple[int, int]:
-        """Line after a satellite's first, and column, of its field of that index."""
+    def fields(self, satellite: str, row: int = 0) -> list[ObservationField]:
+        """The fields of a satellite, or of its system, whose first line is `row`."""
+        key, per_line, begin = satellite[:1], MOST_TYPES, NAME
         if self.version < 3.0:
-            return field // PER_LINE_2, FIELD * (field % PER_LINE_2)
-        return 0, NAME + FIELD * field
+            key, per_line, begin = "", PER_LINE_2, 0
+        return [
+            ObservationField(
+                kind,
+                row + i // per_line,
+                begin + FIELD * (i % per_line),
+                self.scales.get((satellite[:1], kind), 1.0),
+            )
+            for i, kind in enumerate(self.types.get(key, ()))
+        ]
 
     def with_records(self, lines: Iterable[str]) -> "ObservationHeader":
         """The header after further records; unknown records are skipped."""

@@ -14,8 +14,11 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from mavproxy_fault.rinex.gps_clock import WEEK_S, time_of_words
-from mavproxy_fault.rinex.observation_header import PER_LINE_2, ObservationHeader
-from mavproxy_fault.rinex.signal_fields import ObservationField
+from mavproxy_fault.rinex.observation_header import (
+    PER_LINE_2,
+    ObservationField,
+    ObservationHeader,
+)
 
 HEAD_NAMES_2, NAMES_2 = 12, slice(32, 68)  # satellites in an epoch line of RINEX 2
 OBSERVED, CYCLE_SLIPS = "01", "6"  # flags of epochs, and of records like those of an epoch
@@ -42,12 +45,7 @@ class FileEpoch(NamedTuple):
 
     def fields(self, satellite: str) -> list[ObservationField]:
         """The fields of a satellite's observations."""
-        found = []
-        for i, kind in enumerate(self.header.types_of(satellite)):
-            line, column = self.header.place(i)
-            scale = self.header.scale_of(satellite, kind)
-            found.append(ObservationField(kind, self.rows[satellite] + line, column, scale))
-        return found
+        return self.header.fields(satellite, self.rows[satellite])
 
 
 class _EpochHead(NamedTuple):

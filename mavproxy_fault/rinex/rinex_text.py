@@ -48,20 +48,12 @@ def _decompressed(data: bytes, path: Path) -> bytes:
     return unpacked
 
 
-def header_of(path: Path, lines: list[str], kinds: str, called: str) -> tuple[float, int]:
-    """Return the version of a RINEX file and the line at which its header ends.
-
-    Raises
-    ------
-    ConfigError
-        If the file is of none of the `kinds`, or its header is invalid.
-    """
+def check_header(path: Path, lines: list[str], kinds: str, called: str) -> None:
+    """Raise ConfigError if a RINEX file is of none of the `kinds`, or its header is invalid."""
     version, kind = lines[0][:9].strip(), lines[0][20:21]
     if kind not in kinds or not kind.strip():
         raise ConfigError(f"{path}: has type {kind!r}; give {called}, type {kinds[0]}")
     if not re.fullmatch(r"[234](\.\d+)?", version):
         raise ConfigError(f"{path}: has version {version!r}; supported: 2.00 to 4.02")
-    end = next((i for i, line in enumerate(lines) if line[60:].startswith("END OF HEADER")), None)
-    if end is None:
+    if not any(line[60:].startswith("END OF HEADER") for line in lines):
         raise ConfigError(f"{path}: has no END OF HEADER; give a file with a complete header")
-    return float(version), end

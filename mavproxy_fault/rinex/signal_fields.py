@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.signal_noise import code_sigma_m, rate_sigma_mps
-from mavproxy_fault.rinex.observation_header import FIELD
+from mavproxy_fault.rinex.observation_header import FIELD, ObservationField
 from mavproxy_fault.rinex.signal_change import SignalChange
 
 VALUE = 14  # F14.3, before loss of lock and signal strength
@@ -23,21 +22,6 @@ CARRIERS_MHZ = {
     "J": {"1": 1575.42, "2": 1227.6, "5": 1176.45, "6": 1278.75},
     "C": {"1": 1575.42, "2": 1561.098, "5": 1176.45, "7": 1207.14, "8": 1191.795, "6": 1268.52},
 }
-
-
-class ObservationField(NamedTuple):
-    """One field of a satellite: its type (`C1C`, or `C1` in RINEX 2), line and column, and the
-    factor of the stored number."""
-
-    name: str
-    at: int
-    column: int
-    scale: float = 1.0
-
-    @property
-    def signal(self) -> str:
-        """The part of the type that all observations of one signal share."""
-        return self.name[1:]
 
 
 def write_change(

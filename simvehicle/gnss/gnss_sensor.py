@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import msgspec
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
@@ -17,10 +18,9 @@ from mavproxy_fault.rtcm.ephemeris_messages import encode_ephemeris
 from mavproxy_fault.wire.plant_names import GROUPS, SATELLITE, SPOOF
 from simvehicle.gnss.constellation import Constellation
 from simvehicle.gnss.gnss_config import GnssConfig
-from simvehicle.gnss.gnss_state import Broadcast, GnssState, SignalFaults
 from simvehicle.gnss.pseudorange import NO_COEFFICIENTS, Atmosphere
 from simvehicle.gnss.receiver import NO_FIX, ReceiverFix, solve_receiver_fix
-from simvehicle.gnss.satellite_orbits import select_orbits, tabulate_orbits
+from simvehicle.gnss.satellite_orbits import Orbits, select_orbits, tabulate_orbits
 from simvehicle.gnss.signal_errors import (
     CN0_CORRELATION_S,
     ReceiverClock,
@@ -43,6 +43,52 @@ S_PER_US = 1e-6
 BROADCAST_US = 30_000_000  # interval at which an ephemeris is repeated, as in the GPS message
 LOST_ROW = 2  # the row of `SignalFaults.signals`, which are in the order of `SATELLITE`
 PLANT_NAME = re.compile(rf"({'|'.join((*SATELLITE, *SPOOF))})\[([GE]\d\d|all|G|E)\]")
+
+
+class SignalFaults(msgspec.Struct, frozen=True):
+    """Plant faults of the signals and of the receiver.
+
+    The rows of `signals` (4, n) are metres added to the range, decibels taken off C/N0, signal loss
+    (not 0), and m/s added to the range rate. The rows of `spoof` (4, n) are the spoofed position's
+    offset north, east and down and the spoofed delay [m]. `off` is not 0 while the receiver is off.
+    """
+
+    signals: Array
+    spoof: Array
+    off: float = 0.0
+
+
+class Broadcast(msgspec.Struct, frozen=True):
+    """The ephemerides in use: their indices, which satellites have one, and their orbits.
+
+    The choice is valid up to and including `until_s` (seconds of the constellation's week).
+    """
+
+    chosen: tuple[int | None, ...]
+    valid: NDArray[np.bool_]
+    orbits: Orbits
+    until_s: float
+
+
+class GnssState(msgspec.Struct, frozen=True):
+    """State of `GnssSensor`; arrays (n,) have one entry per satellite of its constellation.
+
+    The rows of `wander` (3, n) are the unit-variance Gauss-Markov processes of multipath, orbit and
+    C/N0. `search_s`, `message_s` are the acquisition and ephemeris times of a cold start. `sent_us`
+    is when each ephemeris was last sent, `last_spoof` (4, n) the `spoof` of the last epoch.
+    """
+
+    t_us: int | None
+    clock: ReceiverClock
+    wander: Array
+    search_s: Array
+    message_s: Array
+    broadcast: Broadcast
+    tracking: Tracking
+    sent_us: Stamps
+    faults: SignalFaults
+    last_spoof: Array
+    fix: ReceiverFix = NO_FIX
 
 
 @dataclass(frozen=True)
@@ -69,26 +115,16 @@ class GnssSensor:
         return Atmosphere(coefficients, self.config.troposphere)
 
     @cached_property
-    def _levels(self) -> Array:
-        """Sizes of the errors, in the order of `simulate_signals`."""
-        c = self.config
-        rise = c.cn0_zenith_dbhz - c.cn0_horizon_dbhz
-        sizes = (c.thermal, c.multipath, c.orbit_m, c.clock.galileo_offset_m)
-        return np.array([c.cn0_horizon_dbhz, rise, c.cn0_sigma_db, *sizes])
-
-    @cached_property
-    def _wander_s(self) -> Array:
-        """Correlation times (3, 1) of multipath, orbit and C/N0."""
-        return np.array([[self.config.multipath_s], [self.config.orbit_s], [CN0_CORRELATION_S]])
-
-    @cached_property
     def _unsent(self) -> Stamps:
         return np.full(len(self.constellation.satellites), LONG_AGO_US)
 
     @cached_property
     def _channel(self) -> SignalChannel:
-        galileo = [name[0] == "E" for name in self.constellation.satellites]
-        return SignalChannel(*self._atmosphere, self._levels, np.array(galileo, dtype=float))
+        c, galileo = self.config, [name[0] == "E" for name in self.constellation.satellites]
+        rise = c.cn0_zenith_dbhz - c.cn0_horizon_dbhz
+        sizes = c.thermal, c.multipath, c.orbit_m, c.clock.galileo_offset_m
+        levels = np.array([c.cn0_horizon_dbhz, rise, c.cn0_sigma_db, *sizes])
+        return SignalChannel(*self._atmosphere, levels, np.array(galileo, dtype=float))
 
     def new_state(self, rng: np.random.Generator) -> GnssState:
         """The state at power-on."""
@@ -242,11 +278,13 @@ class GnssSensor:
         if state.t_us is None:
             return replace(state, t_us=t_us)
         step_s = (t_us - state.t_us) * S_PER_US
+        # Of multipath, orbit and C/N0.
+        lasts_s = np.array([[config.multipath_s], [config.orbit_s], [CN0_CORRELATION_S]])
         return replace(
             state,
             t_us=t_us,
             clock=step_clock(state.clock, config.clock, step_s, draws[:2]),
-            wander=step_gauss_markov(state.wander, self._wander_s, step_s, draws[2:].reshape(3, n)),
+            wander=step_gauss_markov(state.wander, lasts_s, step_s, draws[2:].reshape(3, n)),
         )
 
     def _tracking(

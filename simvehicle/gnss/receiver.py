@@ -36,7 +36,6 @@ CONVERGED_M = 1e-4  # chosen: far below any measurement error
 SMALL_STEP_M = 10.0  # the linearisation is valid over such a step
 ZENITH_SIGMA_M = 0.5  # assumed pseudorange error at the zenith
 SINE_MIN = 0.05  # of 3 degrees, the lowest elevation of the atmospheric models
-PLACE = ("r_ecef_m", "lat_rad", "lon_rad", "height_m")  # of a fix
 RANK_TOLERANCE = 1e-6  # of the largest singular value; below it the geometry counts as singular
 
 
@@ -181,5 +180,5 @@ def _point_below_satellites(orbits: Orbits, tow_s: float) -> Array:
 
 def _no_fix(count: int, last: ReceiverFix) -> ReceiverFix:
     """A result without a fix; it keeps the last position."""
-    place = {name: getattr(last, name) for name in PLACE}
-    return msgspec.structs.replace(NO_FIX, fix_type=min(count, 1), satellites=count, **place)
+    place = last.r_ecef_m, last.lat_rad, last.lon_rad, last.height_m
+    return ReceiverFix(min(count, 1), count, *place, STILL, NO_FIX.clock_m, NO_FIX.sigma_ned_m)

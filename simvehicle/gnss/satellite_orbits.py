@@ -31,26 +31,22 @@ KEPLER_STEPS = 4  # Newton: error below 1e-14 rad at the eccentricity 0.16 of E1
 
 
 class Orbits(msgspec.Struct, frozen=True):
-    """The ephemerides of n satellites as one table.
-
-    `table` (n, 20) is the input of `satellite_state`, with times in seconds of GPS week `week`.
-    """
+    """The ephemerides of n satellites as one table (n, 20), the input of `satellite_state`, with
+    times in seconds of one GPS week."""
 
     satellites: tuple[str, ...]
-    week: int
     table: Array
 
 
 def tabulate_orbits(ephemerides: Sequence[Ephemeris], week: int) -> Orbits:
     """Convert ephemerides to a table, with times in seconds of GPS week `week`."""
     table = np.array([_orbit_row(e, week) for e in ephemerides], dtype=float).reshape(-1, ROW_SIZE)
-    return Orbits(tuple(e.satellite for e in ephemerides), week, table)
+    return Orbits(tuple(e.satellite for e in ephemerides), table)
 
 
 def select_orbits(orbits: Orbits, pick: NDArray[np.intp]) -> Orbits:
     """The satellites at the indices `pick` (m,)."""
-    names = tuple(orbits.satellites[k] for k in pick)
-    return Orbits(names, orbits.week, orbits.table[pick])
+    return Orbits(tuple(orbits.satellites[k] for k in pick), orbits.table[pick])
 
 
 def _orbit_row(e: Ephemeris, week: int) -> tuple[float, ...]:

@@ -19,9 +19,8 @@ from analysis.orbits.broadcast import (
     CLOCK_OF,
     PACKED,
     SYSTEMS,
-    WEEK_S,
     pack_ephemeris,
-    packed_for_carrier,
+    packed_for,
     satellite_states,
 )
 from analysis.samples.block import Indices
@@ -34,6 +33,7 @@ from analysis.samples.sample import (
     Vector,
 )
 from mavproxy_fault.numerics.constants import L1_HZ
+from mavproxy_fault.rinex.gps_clock import WEEK_S
 
 StoredOrbit = tuple[Orbit, Vector]  # an ephemeris and its packed numbers
 StoredOrbits = dict[str, tuple[StoredOrbit, ...]]  # by satellite, in the order of their times
@@ -51,7 +51,7 @@ EARLY_COST = 2.0  # of the age before its time: errors grow four times as fast a
 @dataclass(frozen=True, slots=True)
 class EphemerisSelection:
     """The ephemerides of a set of satellites in one part of a week: indices of the satellites that
-    have one (None: all have), their packed rows (n, 25), and the ephemerides `used`.
+    have one (None: all have), their packed rows (n, 26), and the ephemerides `used`.
 
     `unused` says of the others, of the systems in use, why they have none. `differences_m` are
     those of broadcast from precise orbits in range, `contradicted` the ephemerides that are wrong
@@ -138,7 +138,12 @@ def select_ephemerides(
         ephemeris, packed = nearest
         used.append(ephemeris)
         carrier_hz = L1_HZ if epoch.carrier_hz is None else epoch.carrier_hz.item(i)
-        rows.append(packed if carrier_hz == L1_HZ else packed_for_carrier(packed, carrier_hz))
+        second_hz = None
+        if epoch.is_free and epoch.second is not None and epoch.second.carrier_hz is not None:
+            second_hz = epoch.second.carrier_hz.item(i)
+        if second_hz is not None or carrier_hz != L1_HZ:
+            packed = packed_for(packed, ephemeris, carrier_hz, second_hz)
+        rows.append(packed)
     names = tuple(epoch.satellites[i] for i in keep)
     differences_m, contradicted = _compare_with_precise(used, rows, epoch, ephemerides, wrong)
     return EphemerisSelection(

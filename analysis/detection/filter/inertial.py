@@ -17,7 +17,7 @@ from functools import cache
 
 import numpy as np
 
-from analysis.detection.filter.process_noise import ProcessNoise
+from analysis.detection.filter.filter_config import ProcessNoise
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.compile import compiled, inlined
 from mavproxy_fault.numerics.constants import (

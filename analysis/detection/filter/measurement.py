@@ -1,14 +1,26 @@
-"""The usable measurements of an epoch, and their innovations against a state of the filter."""
+"""The usable measurements of an epoch, and their innovations against a state of the filter.
+
+References
+----------
+.. [1] IS-GPS-200N, 20.3.3.3.3.3.
+"""
 
 import math
+from collections import Counter
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.detection.filter.ephemerides import EphemerisSelection
+from analysis.detection.filter.ephemerides import (
+    BroadcastData,
+    EphemerisSelection,
+    select_ephemerides,
+)
+from analysis.detection.filter.filter_config import FilterConfig
 from analysis.detection.filter.inertial import (
     CLOCK,
     ERROR_SIZE,
@@ -24,17 +36,20 @@ from analysis.orbits.broadcast import (
     DELAY,
     ELEVATION,
     LINE_OF_SIGHT,
+    NOISE,
     RANGE,
     RATE,
     TOE,
     WEEK,
-    WEEK_S,
+    free_share,
     predict_ranges,
     satellite_states,
 )
 from analysis.samples.block import Indices
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.numerics.compile import compiled
+from mavproxy_fault.numerics.constants import L1_HZ
+from mavproxy_fault.rinex.gps_clock import WEEK_S
 
 Mask = NDArray[np.bool_]
 # Klobuchar's; the element behind them is the factor by which their error exceeds broadcast ones'
@@ -42,11 +57,15 @@ KLOBUCHAR_COEFFICIENTS = 8
 # Error of an ephemeris in m, times the square of its age in h, before its time and after it, by
 # clock: measured against later ephemerides (benchmarks/fdi.md). GPS's is flat as long as it holds.
 EARLY_ERROR_M, LATE_ERROR_M = (0.0, 1.0, 7.5, 0.3), (0.0, 0.25, 7.5, 0.3)
+# Second bands, by system, whose group delays the broadcast messages give: those of L5, B1C and B2a
+# are in messages that are not read (CNAV, B-CNAV), and without them metres are left. Not of QZSS:
+# receivers delay its L2C and GPS's L2 P(Y) differently, and the two share a clock.
+COMBINED = {"G": "2", "R": "2", "E": "57", "C": "6"}
 RANGE_LIMITS_M = (1.5e7, 6.0e7)  # medium and geosynchronous orbits as seen from near the Earth
 
 
 class EpochMeasurements(NamedTuple):
-    """The measurements of n satellites: arrays (n,), and their ephemerides packed (n, 25).
+    """The measurements of n satellites: arrays (n,), and their ephemerides packed (n, 26).
 
     `system` (n,) is each one's clock by `broadcast.CLOCK_OF`; `week` and `tow_s` are the receiver's
     time.
@@ -149,6 +168,42 @@ def observe_epoch(epoch: Epoch, selection: EphemerisSelection) -> EpochObservati
     return observation.select(plausible) if plausible.any() else None
 
 
+def shares_of_first(epoch: Epoch, second: Epoch) -> Vector:
+    """The weight (n,) of the first range of each satellite in the combination, NaN without one."""
+    first_hz = L1_HZ if epoch.carrier_hz is None else epoch.carrier_hz
+    return free_share(first_hz, L1_HZ if second.carrier_hz is None else second.carrier_hz)
+
+
+def ionosphere_free(epoch: Epoch) -> Epoch:
+    """The epoch with the ionosphere-free ranges [1]_, of the satellites that have two, the second
+    on their system's most frequent signal: a receiver delays each signal differently, and a system
+    has one clock. Unchanged without a second frequency."""
+    if epoch.second is None:
+        return epoch
+    share, signals = shares_of_first(epoch, epoch.second), epoch.second.signals
+    range_m = share * epoch.pseudorange_m + (1.0 - share) * epoch.second.pseudorange_m
+    kinds = [(name[0], signal) for name, signal in zip(epoch.satellites, signals, strict=True)]
+    counts = Counter(kind for kind in kinds if kind[1][:1] in COMBINED.get(kind[0], ""))
+    usual = dict(kind for kind, _ in reversed(counts.most_common()))
+    known = [usual.get(system) == signal for system, signal in kinds]
+    free = replace(epoch, pseudorange_m=range_m, is_free=True)
+    return free.select((np.isfinite(range_m) & known).nonzero()[0].tolist())
+
+
+def observe(
+    epoch: Epoch, broadcast: BroadcastData, config: FilterConfig
+) -> tuple[EpochObservation | None, BroadcastData]:
+    """The observation (None: no satellite is usable), and the broadcast data with its selection."""
+    if config.ionosphere_free:
+        epoch = ionosphere_free(epoch)
+    selection, wrong = broadcast.selection, broadcast.wrong
+    if selection is None or not selection.is_valid_for(epoch):
+        selection = select_ephemerides(epoch, broadcast.ephemerides, config.systems, wrong)
+        wrong = wrong.union(selection.contradicted)
+        broadcast = broadcast._replace(selection=selection, wrong=wrong)
+    return observe_epoch(epoch, selection), broadcast
+
+
 def predict_innovations(
     observation: EpochObservation, x: Vector, sigma: SigmaModel, ionosphere: Vector
 ) -> Innovations:
@@ -191,7 +246,7 @@ def _innovations(
         age_s = (measurements.week - week) * WEEK_S + measurements.tow_s - toe
         growth_m = EARLY_ERROR_M[system] if age_s < 0.0 else LATE_ERROR_M[system]
         all_m2, white_m2 = range_variance(elevation, measurements.cn0_dbhz[i], sigma)
-        share = sigma.systems[system] ** 2
+        share = sigma.systems[system] ** 2 * measurements.packed[i, NOISE]
         out[0, i] = measurements.pseudorange_m[i] - predicted[i, RANGE] - x[X_CLOCK] - isb
         out[1, i] = measurements.doppler_mps[i] - predicted[i, RATE] - x[X_DRIFT]
         out[2, i] = all_m2 * share + (growth_m * (age_s / 3600.0) ** 2) ** 2

@@ -22,6 +22,7 @@ from analysis.detection.filter.inertial import (
     propagate_freely,
     propagate_inertial,
 )
+from analysis.detection.values import Value
 from analysis.samples.block import ImuRun
 from analysis.samples.sample import IMU_VALUE_LIMIT, Vector
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
@@ -93,12 +94,31 @@ def imu_segment(run: ImuRun, motion: MotionEstimate, until_us: int) -> ImuSegmen
     return ImuSegment(table, float(steps_s.max()), True)
 
 
-def propagate_filter(
-    motion: MotionEstimate, segment: ImuSegment, until_us: int, config: FilterConfig
-) -> tuple[MotionEstimate, Vector]:
-    """The filter at `until_us`, before the epoch there is used, and the transition (20, 20)."""
+class Prediction(Value, frozen=True):
+    """The filter `before`, at the last epoch, and `motion`, at this one before it is used; the
+    transition (20, 20) of its errors in between, and the IMU's samples."""
+
+    before: MotionEstimate
+    motion: MotionEstimate
+    transition: Vector
+    segment: ImuSegment
+
+    @property
+    def dt_s(self) -> float:
+        """The time between the epochs."""
+        return (self.motion.t_us - self.before.t_us) * 1e-6
+
+    @property
+    def is_inertial(self) -> bool:
+        """Whether the IMU propagated the filter all the way."""
+        return self.before.inertial and self.motion.inertial
+
+
+def predict(motion: MotionEstimate, run: ImuRun, until_us: int, config: FilterConfig) -> Prediction:
+    """The filter `motion` at `until_us` by the IMU's samples `run` since its epoch: by the IMU
+    where it is usable."""
+    segment, noise = imu_segment(run, motion, until_us), config.noise
     dt_s = (until_us - motion.t_us) * 1e-6
-    noise = config.noise
     complete = segment.gap_s <= config.gap_s and len(segment.samples) > 0
     if motion.inertial and complete:
         samples, arm, x, p = segment.samples, config.antenna, motion.x, motion.p
@@ -109,7 +129,7 @@ def propagate_filter(
             x, p, phi = propagate_inertial(x, p, samples, noise)
             x, p, out = shift_by_lever_arm(x, p, samples[-1, 1:4], arm, 1.0)
             phi = out @ phi @ back
-        return MotionEstimate(until_us, x, p, True), phi
+        return Prediction(motion, MotionEstimate(until_us, x, p, True), phi, segment)
     x, p, phi = propagate_freely(motion.x, motion.p, dt_s, noise)
     # Over a short silence the attitude is still known, but less well.
     inertial = motion.inertial and segment.gap_s <= SHORT_GAP_S and segment.any_sample
@@ -117,7 +137,8 @@ def propagate_filter(
         p[range(PSI, PSI + 3), range(PSI, PSI + 3)] += (RATE_SIGMA_RPS * segment.gap_s) ** 2
     # A gap breaks the integrals of an alignment.
     alignment = motion.alignment if complete and not motion.inertial else None
-    return MotionEstimate(until_us, x, p, inertial, alignment), phi
+    moved = MotionEstimate(until_us, x, p, inertial, alignment)
+    return Prediction(motion, moved, phi, segment)
 
 
 def shift_by_lever_arm(

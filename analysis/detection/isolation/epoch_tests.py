@@ -5,6 +5,7 @@ A wrong attitude or force shows in the rates seconds before it shows in the rang
 
 import numpy as np
 
+from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.covariance_release import (
     free_by_rates,
     free_clock,
@@ -28,7 +29,6 @@ from analysis.detection.isolation.hypotheses import (
     group_by_system,
     select_hypothesis,
 )
-from analysis.detection.isolation.isolation_config import IsolationConfig
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.values import Value
 from analysis.samples.sample import Vector
@@ -69,7 +69,7 @@ def run_range_test(
     statistics: EpochStatistics,
     by_rates: str,
     offset_m: Vector,
-    config: IsolationConfig,
+    config: DetectorConfig,
 ) -> RangeVerdict:
     """Test n ranges against the prediction, after the rates' verdict `by_rates` on it.
 
@@ -91,7 +91,7 @@ def isolate_ranges(
     q: float,
     threshold: float,
     offset_m: Vector,
-    config: IsolationConfig,
+    config: DetectorConfig,
     by_past: bool = False,
 ) -> RangeVerdict:
     """The verdict on n ranges whose statistic q failed F00.
@@ -125,7 +125,7 @@ def _explain(
     innovations: Innovations,
     threshold: float,
     by_past: bool,
-    config: IsolationConfig,
+    config: DetectorConfig,
 ) -> tuple[str, IsolationVerdict, MotionEstimate]:
     """Explain a failed test; release the clock or the position where they explain it, and test
     again.
@@ -181,7 +181,7 @@ def run_rate_test(
     motion: MotionEstimate,
     innovations: Innovations,
     statistics: EpochStatistics,
-    config: IsolationConfig,
+    config: DetectorConfig,
 ) -> RateVerdict:
     """Test the Doppler rates of n satellites against the predicted velocity."""
     count = statistics.rate_count

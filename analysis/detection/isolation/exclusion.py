@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import CLOCK, ERROR_SIZE, X_CLOCK
 from analysis.detection.filter.lasting_errors import lasting_variance
 from analysis.detection.filter.measurement import Innovations
-from analysis.detection.isolation.isolation_config import IsolationConfig
 from analysis.detection.receiver.drift_return import HEALTHY_P
 from analysis.detection.statistics.chi_square import two_sided_bound
 from analysis.detection.values import Value
@@ -27,8 +27,9 @@ class Exclusion:
     """A satellite that is not used: since when it is faulty, when that was found, and since when it
     has looked healthy again (None: it does not).
 
-    `whole_system` says that it was excluded with its whole system, not for its own range. `seen`
-    are the epochs since it was found, the mean and the mean square of its innovations in m.
+    `whole_system` says that it was excluded with its whole system, not for its own range,
+    `by_difference` that only the difference of its two ranges showed it. `seen` are the epochs
+    since it was found, the mean and the mean square of its innovations in m.
     """
 
     onset_us: int
@@ -36,6 +37,7 @@ class Exclusion:
     healthy_since_us: int | None = None
     whole_system: bool = False
     seen: tuple[int, float, float] = (0, 0.0, 0.0)
+    by_difference: bool = False
 
     def stands(self, t_us: int, sigma_m: float) -> bool:
         """Whether its error has been constant for long, and is no larger than multipath is."""
@@ -96,7 +98,7 @@ def add_exclusions(
 
 
 def readmit_satellites(
-    excluded: Exclusions, innovations: ExcludedInnovations, t_us: int, config: IsolationConfig
+    excluded: Exclusions, innovations: ExcludedInnovations, t_us: int, config: DetectorConfig
 ) -> tuple[Exclusions, dict[str, float]]:
     """The exclusions that remain after the innovations of an epoch, and the standing errors in m of
     satellites that are readmitted with them.

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.inertial import ERROR_SIZE
 from analysis.detection.isolation.hypotheses import PENALTY
-from analysis.detection.isolation.isolation_config import IsolationConfig
 from analysis.detection.isolation.ramp_windows import (
     STRIDE_S,
     WINDOW_COUNT,
@@ -71,7 +71,7 @@ def prepare_ramps(
     t_us: int,
     names: tuple[str, ...],
     variance: Vector,
-    config: IsolationConfig,
+    config: DetectorConfig,
 ) -> RampBank:
     """The ramp tests before an epoch at `t_us` that uses the satellites `names` (n,), with the
     `variance` (n,) of their ranges."""
@@ -114,7 +114,7 @@ def _renewed(windows: RampWindows, t_us: int) -> RampWindows:
 
 
 def evaluate_ramps(
-    ramps: RampBank, strongest: StrongestRamp, config: IsolationConfig
+    ramps: RampBank, strongest: StrongestRamp, config: DetectorConfig
 ) -> RampVerdict:
     """Whether a window shows a ramp, and of which satellite, or a wrong acceleration instead."""
     count = len(ramps.names)
@@ -132,7 +132,7 @@ def evaluate_ramps(
     )
 
 
-def ramp_onset_us(ramps: RampBank | None, name: str, t_us: int, config: IsolationConfig) -> int:
+def ramp_onset_us(ramps: RampBank | None, name: str, t_us: int, config: DetectorConfig) -> int:
     """Since when a satellite isolated at `t_us` has been faulty, by the windows."""
     if ramps is None or name not in ramps.names:
         return t_us

@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import R, V
 from analysis.detection.filter.information import EpochUpdate, NormalEquations, covariance_block
 from analysis.detection.filter.lasting_errors import INDEPENDENT_AFTER_S
 from analysis.detection.filter.range_noise import SigmaModel
-from analysis.detection.isolation.isolation_config import IsolationConfig
 from analysis.detection.statistics.bank import cholesky_reduction
 from analysis.samples.block import Indices
 from analysis.samples.sample import Vector
@@ -68,7 +68,7 @@ def update_windows(
     update: EpochUpdate,
     transition: Vector,
     dt_s: float,
-    config: IsolationConfig,
+    config: DetectorConfig,
 ) -> tuple[RampWindows, StrongestRamp]:
     """The windows after the filter's `update` of its prediction `motion`, which came from the last
     epoch by a transition (20, 20) of errors over `dt_s`, and the strongest ramp that they show."""

@@ -35,22 +35,19 @@ def detect_carry_off(
     """The windows' verdict after a fix: a receiver that is carried off, or a wrong acceleration
     (3,). The windows restart after any other detection; `is_trusted` says that nothing is excluded.
     """
-    before, motion, segment = assessed.before, assessed.motion, assessed.segment
+    prediction, motion = assessed.prediction, assessed.motion
     v_ned_mps = assessed.measurement.v_ned_mps
-    moved = motion.inertial and before.inertial and is_trusted
+    moved = prediction.is_inertial and is_trusted
     if v_ned_mps is None or assessed.velocity is None or not (moved and assessed.passes):
         return receiver._replace(windows=None), None, None
     windows = receiver.windows if receiver.windows is not None else new_windows(motion.t_us)
-    dt_s = (motion.t_us - before.t_us) * 1e-6
+    axes, innovation = assessed.measurement.axes, fix_innovation(assessed)
     windows = extend_windows(
-        windows,
-        motion.t_us,
-        dt_s,
-        assessed.transition,
-        assessed.measurement.axes,
-        fix_innovation(assessed),
+        windows, motion.t_us, prediction.dt_s, prediction.transition, axes, innovation
     )
-    if receiver.scatter.shaken_us == motion.t_us or _shows_impact(receiver.last_fix, segment):
+    if receiver.scatter.shaken_us == motion.t_us or _shows_impact(
+        receiver.last_fix, prediction.segment
+    ):
         windows = windows._replace(doubt_us=motion.t_us, impact_us=motion.t_us)
     found = wrong_mps2 = None
     # Touching down stops a receiver, by a force that an IMU is often too slow to show.

@@ -22,7 +22,7 @@ from analysis.detection.filter.information import (
     normal_equations,
     reduce_covariance,
 )
-from analysis.detection.filter.propagation import ImuSegment
+from analysis.detection.filter.propagation import Prediction
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.samples.block import FIX_3D
 from analysis.samples.sample import GpsFix, Vector
@@ -71,16 +71,18 @@ class FixTest(NamedTuple):
 
 
 class AssessedFix(NamedTuple):
-    """A fix before any verdict: the filter `before`, at the last fix, and `motion`, moved here by
-    the IMU's `segment` with a transition (20, 20), and the tests of position and known velocity."""
+    """A fix before any verdict: the filter's prediction, and the tests of position and known
+    velocity with it."""
 
     measurement: FixMeasurement
-    before: MotionEstimate
-    motion: MotionEstimate
-    transition: Vector
-    segment: ImuSegment
+    prediction: Prediction
     position: FixTest
     velocity: FixTest | None
+
+    @property
+    def motion(self) -> MotionEstimate:
+        """The predicted filter."""
+        return self.prediction.motion
 
     @property
     def passes(self) -> bool:
@@ -89,8 +91,8 @@ class AssessedFix(NamedTuple):
 
     def with_motion(self, motion: MotionEstimate, config: FilterConfig) -> "AssessedFix":
         """The fix tested with another state of the filter."""
-        position, velocity = run_fix_tests(self.measurement, motion, config)
-        return self._replace(motion=motion, position=position, velocity=velocity)
+        tests = run_fix_tests(self.measurement, motion, config)
+        return AssessedFix(self.measurement, self.prediction._replace(motion=motion), *tests)
 
 
 def fix_measurement(fix: GpsFix) -> tuple[FixMeasurement | None, str]:

@@ -33,7 +33,7 @@ def new_last_fix(before: LastFix | None, fix: AssessedFix, motion: MotionEstimat
     measurement = fix.measurement
     velocity = np.full(3, np.nan) if measurement.v_ned_mps is None else measurement.v_ned_mps
     off = known_or_zero(velocity - measurement.axes @ motion.x[3:6])
-    force = mean_force(fix.segment)
+    force = mean_force(fix.prediction.segment)
     past = () if before is None else before.forces_b_mps2[: HISTORY_INTERVALS - 1]
     forces = () if force is None else (force, *past)
     return LastFix(motion.t_us, measurement.r_ecef_m, velocity, forces, off)
@@ -61,7 +61,7 @@ def unexplained_square(
 def isolate_receiver_or_imu(last: LastFix | None, fix: AssessedFix, config: FilterConfig) -> str:
     """`imu`, `gps` or `GPS-or-imu`, for a receiver that is consistent, but not with the IMU: the
     test of its velocity has failed."""
-    force, measurement, velocity = mean_force(fix.segment), fix.measurement, fix.velocity
+    force, measurement, velocity = mean_force(fix.prediction.segment), fix.measurement, fix.velocity
     if last is None or force is None or not last.forces_b_mps2:
         return UNDECIDED
     if measurement.v_ned_mps is None or velocity is None:
@@ -84,7 +84,7 @@ def isolate_receiver_or_imu(last: LastFix | None, fix: AssessedFix, config: Filt
 def isolate_acceleration_fault(last: LastFix | None, wrong_mps2: Vector, fix: AssessedFix) -> str:
     """`imu` or `GPS-or-imu`, for a wrong acceleration (3,) of the filter and a receiver that is
     consistent with itself: the IMU, if its force changed by that within the last intervals."""
-    force = mean_force(fix.segment)
+    force = mean_force(fix.prediction.segment)
     if last is None or force is None:
         return UNDECIDED
     rot = fix.measurement.axes @ rotation_matrix(fix.motion.x[6:10])

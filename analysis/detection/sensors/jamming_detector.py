@@ -12,7 +12,7 @@ import numpy as np
 
 from analysis.detection.detector_registry import REPEAT_US, BlockDetector, RowResults
 from analysis.detection.values import Value
-from analysis.results import SensorDecision, pattern_alarm
+from analysis.results import pattern_alarm
 from analysis.samples.block import EPOCH, Block
 from analysis.samples.sample import Epoch
 
@@ -67,7 +67,9 @@ class JammingDetector(BlockDetector, frozen=True):
             assert isinstance(epoch, Epoch)
             fallen_db, state = _add_epoch(epoch, state)
             if fallen_db:
-                results.append((row, _result(epoch.t_us, fallen_db)))
+                text = f"jamming, or a covered antenna: all signals are {fallen_db:.0f} dB weaker"
+                text = "most signals are lost" if fallen_db >= LOST_DB else text
+                results.append((row, pattern_alarm(epoch.t_us, "satellites", text)))
         return results, state
 
 
@@ -133,10 +135,3 @@ def common_loss_db(losses_db: Iterable[float], sustained: bool = False) -> float
         return 0.0
     quarter = len(present) // 4
     return median_db if present[-1 - quarter] - present[quarter] <= SPREAD_DB else 0.0
-
-
-def _result(t_us: int, fallen_db: float) -> SensorDecision:
-    text = f"jamming, or a covered antenna: all signals are {fallen_db:.0f} dB weaker"
-    return pattern_alarm(
-        t_us, "satellites", "most signals are lost" if fallen_db >= LOST_DB else text
-    )

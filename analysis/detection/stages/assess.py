@@ -20,6 +20,7 @@ from analysis.detection.filter.measurement import (
     Innovations,
     predict_innovations,
 )
+from analysis.detection.filter.propagation import Prediction
 from analysis.detection.isolation.epoch_memory import (
     EpochMemory,
     freeze_offsets,
@@ -30,7 +31,6 @@ from analysis.detection.isolation.epoch_statistics import (
     compute_statistics,
     parity_test,
 )
-from analysis.detection.stages.predict import Prediction
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.values import Value
 

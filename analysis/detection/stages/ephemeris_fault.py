@@ -13,10 +13,9 @@ from msgspec.structs import replace
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore, EpochRecord
 from analysis.detection.filter.ephemerides import EphemerisSelection
-from analysis.detection.filter.measurement import EpochObservation, predict_innovations
+from analysis.detection.filter.measurement import EpochObservation, observe, predict_innovations
 from analysis.detection.stages.epoch_outcome import EpochOutcome
 from analysis.detection.stages.epoch_stages import run_stages
-from analysis.detection.stages.observe import observe
 from analysis.results import Decision
 from analysis.samples.sample import Epoch, Orbit
 
@@ -40,7 +39,7 @@ def try_other_ephemerides(
     wrong = {name: ephemeris for name, ephemeris in used if name in faulty}
     broadcast = known._replace(wrong=known.wrong.union(wrong.values()), selection=None)
     places = [i for i, name in enumerate(epoch.satellites) if name in faulty]
-    observation, _ = observe(epoch.select(places), broadcast, config.systems)
+    observation, _ = observe(epoch.select(places), broadcast, config)
     if observation is None:
         return record, outcome, ()
     own = record.observation.select(np.isin(record.observation.satellites, observation.satellites))
@@ -52,7 +51,7 @@ def try_other_ephemerides(
     }
     if not doubtful:
         return record, outcome, ()
-    observation, broadcast = observe(epoch, broadcast, config.systems)
+    observation, broadcast = observe(epoch, broadcast, config)
     assert observation is not None
     again = record._replace(core=record.core._replace(broadcast=broadcast), observation=observation)
     other = run_stages(epoch.t_us, observation, record.run, again.core, history, config)

@@ -1,11 +1,11 @@
 """The detector's findings at one epoch, before they become a result."""
 
+from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore
 from analysis.detection.filter.filter_state import ImuStatus, MotionEstimate
 from analysis.detection.isolation.epoch_statistics import LEAST_RATES
 from analysis.detection.isolation.epoch_tests import RangeVerdict, RateVerdict
 from analysis.detection.isolation.exclusion import NONE_EXCLUDED, ExcludedInnovations
-from analysis.detection.isolation.isolation_config import IsolationConfig
 from analysis.detection.isolation.ramp_test import RampBank, RampVerdict
 from analysis.detection.isolation.trust import Trust
 from analysis.detection.protection_levels import PositionBounds
@@ -106,7 +106,7 @@ def reported_hypothesis(
 
 
 def update_suspension(
-    imu: ImuStatus, isolated: bool, t_us: int, config: IsolationConfig
+    imu: ImuStatus, isolated: bool, t_us: int, config: DetectorConfig
 ) -> ImuStatus:
     """The IMU after an epoch: not used for a while once it is isolated."""
     until_us = imu.suspended_until_us

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from analysis.detection.detection_config import DetectorConfig
 from analysis.detection.detector_state import DetectorCore, EpochRecord
 from analysis.detection.filter.measurement import EpochObservation
+from analysis.detection.filter.propagation import predict
 from analysis.detection.isolation.exclusion import Exclusion
 from analysis.detection.isolation.ramp_test import ramp_onset_us
 from analysis.detection.stages.assess import assess
@@ -12,7 +13,6 @@ from analysis.detection.stages.commit import commit, commit_untested
 from analysis.detection.stages.epoch_outcome import EpochOutcome, TestedEpoch
 from analysis.detection.stages.followed_system import follow_one_system
 from analysis.detection.stages.isolate import isolate
-from analysis.detection.stages.predict import predict
 from analysis.samples.block import ImuRun
 
 

@@ -18,6 +18,7 @@ from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import ERROR_SIZE, V
 from analysis.detection.filter.information import NO_RATES
 from analysis.detection.filter.measurement import Innovations
+from analysis.detection.filter.propagation import predict
 from analysis.detection.isolation.all_satellites import (
     position_shift,
     reject_all,
@@ -47,7 +48,6 @@ from analysis.detection.receiver.receiver_or_imu import (
 )
 from analysis.detection.stages.assess import Assessment, compare
 from analysis.detection.stages.epoch_outcome import EpochVerdict
-from analysis.detection.stages.predict import predict
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.earth_kernel import local_axes

@@ -34,7 +34,7 @@ from analysis.detection.protection_levels import PositionBounds, bound_position
 from analysis.detection.receiver.carry_off_windows import LEAST_RATIO_LEAD
 from analysis.detection.statistics.bank import projected_weights
 from analysis.detection.statistics.chi_square import chi_square_threshold
-from analysis.orbits.snapshot import design_matrix, systems_of
+from analysis.orbits.broadcast import design_matrix, systems_of
 from analysis.samples.sample import Vector
 
 MOST_ITERATIONS = 12  # more means that Gauss-Newton diverges

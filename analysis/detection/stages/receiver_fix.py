@@ -14,7 +14,12 @@ from analysis.detection.filter.alignment import align_attitude
 from analysis.detection.filter.covariance_release import free_position, release
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import R
-from analysis.detection.filter.propagation import split_pending, update_interval_s
+from analysis.detection.filter.propagation import (
+    Prediction,
+    predict,
+    split_pending,
+    update_interval_s,
+)
 from analysis.detection.isolation.exclusion import add_exclusions
 from analysis.detection.receiver.carry_off_test import (
     detect_carry_off,
@@ -55,7 +60,6 @@ from analysis.detection.stages.decision_record import (
     untestable_decision,
 )
 from analysis.detection.stages.epoch_outcome import update_suspension
-from analysis.detection.stages.predict import Prediction, predict
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.detection.streams.fix_repeats import fix_values
 from analysis.results import Result
@@ -117,14 +121,8 @@ def _run_stages(
     acceleration = mean_acceleration(prediction.before, motion, measurement.axes)
     latency = append_interval(receiver.latency, prediction.dt_s, acceleration)
     measurement = compensate_latency(measurement, motion, latency)
-    assessed = AssessedFix(
-        measurement,
-        prediction.before,
-        motion,
-        prediction.transition,
-        prediction.segment,
-        *run_fix_tests(measurement, motion, config),
-    )
+    tests = run_fix_tests(measurement, motion, config)
+    assessed = AssessedFix(measurement, prediction, *tests)
     drift = follow_drift(receiver.drift, receiver.last_fix, measurement, motion.t_us)
     jumps = not (assessed.position.passes or core.trust.excluded) and assessed.velocity is not None
     if jumps and has_returned(receiver.drift, drift, measurement, motion.t_us):

@@ -15,7 +15,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.detection.filter.process_noise import ProcessNoise
+from analysis.detection.filter.filter_config import ProcessNoise
 from analysis.fusion.local_frame import LocalFrame
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS

@@ -22,7 +22,7 @@ from analysis.fusion.graph_start import ClockState, Node
 from analysis.fusion.local_frame import LocalFrame
 from analysis.fusion.window import variable_key
 from analysis.orbits.broadcast import CLOCK as SAT_CLOCK
-from analysis.orbits.snapshot import systems_of
+from analysis.orbits.broadcast import systems_of
 from analysis.samples.sample import Vector
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.linear import invert_positive_definite

@@ -14,7 +14,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from analysis.detection.filter.process_noise import ProcessNoise
+from analysis.detection.filter.filter_config import ProcessNoise
 from analysis.fusion.local_frame import LocalFrame
 from analysis.fusion.window import variable_key
 from analysis.samples.sample import Vector

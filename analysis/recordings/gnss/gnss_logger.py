@@ -1,4 +1,4 @@
-"""Read logs of Android telephones (GnssLogger, GPSTest: text, rows `Raw`): pseudoranges on L1.
+"""Read logs of Android telephones (GnssLogger, GPSTest: text, rows `Raw`): ranges on L1 and L5.
 
 A telephone reports when a signal was sent, within its week, day or code period, and its own clock;
 the pseudorange is the difference times the speed of light [1]_. The clock's first bias is kept
@@ -15,23 +15,29 @@ import csv
 import math
 from collections.abc import Iterator, Mapping
 from datetime import date, timedelta
+from itertools import groupby
 from pathlib import Path
 
-from analysis.orbits.broadcast import B1I_HZ
 from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ
-from analysis.recordings.gnss.rinex_observations import SAME_CARRIER, CodeObservation, epoch_of
+from analysis.recordings.gnss.rinex_observations import (
+    SAME_CARRIER,
+    SECOND,
+    CodeObservation,
+    carrier_of,
+    epoch_of,
+)
 from analysis.samples.sample import Epoch
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
+from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.rinex.gps_clock import BEIDOU_OFFSET_S, leap_seconds
 
-# By constellation [2]_: letter, number of the first satellite less one, carrier, signal.
+# By constellation [2]_: letter, number of the first satellite less one, signals (the usual first).
 SYSTEMS = {
-    "1": ("G", 0, L1_HZ, "1C"),
-    "3": ("R", 0, CENTRE_HZ, "1C"),
-    "4": ("J", 192, L1_HZ, "1C"),
-    "5": ("C", 0, B1I_HZ, "2I"),
-    "6": ("E", 0, L1_HZ, "1C"),
+    "1": ("G", 0, ("1C", "5Q")),
+    "3": ("R", 0, ("1C",)),
+    "4": ("J", 192, ("1C", "5Q")),
+    "5": ("C", 0, ("2I", "5P")),
+    "6": ("E", 0, ("1C", "5Q")),
 }
 DAY_NS, WEEK_NS, SECOND_CODE_NS = 86_400 * 10**9, 604_800 * 10**9, 100 * 10**6
 # States [2]_: the code is locked, Galileo's secondary code too, the time of week or day is known.
@@ -64,47 +70,43 @@ def read_gnss_logger(path: Path) -> list[Epoch]:
 def _epochs(lines: list[str]) -> Iterator[Epoch]:
     names = next((line[1:] for line in lines if line[1:].lstrip().startswith("Raw,")), "")
     columns = [name.strip() for name in names.split(",")]
-    clock, discontinuities, bias_ns = "", "", 0
-    rows: dict[str, CodeObservation] = {}
-    channels: dict[str, int] = {}
-    at_ns = 0
-    for fields in csv.reader(line for line in lines if line.startswith("Raw,")):
-        row = dict(zip(columns, fields, strict=False))
-        try:
-            if row["TimeNanos"] != clock:
-                yield from _epoch(at_ns, rows, channels)
-                clock, rows = row["TimeNanos"], {}
-                if discontinuities != row["HardwareClockDiscontinuityCount"] or not bias_ns:
-                    discontinuities = row["HardwareClockDiscontinuityCount"]
-                    bias_ns = int(row["FullBiasNanos"])
-                at_ns = int(clock) - bias_ns
-            found = _observation(row, at_ns)
-        except (KeyError, ValueError):
-            continue  # a damaged row
-        if found is not None:
-            rows.setdefault(found[0], found)
-            if found[0][0] == "R":
-                offset_hz = float(row["CarrierFrequencyHz"] or CENTRE_HZ) - CENTRE_HZ
-                channels[found[0]] = round(offset_hz / CHANNEL_HZ)
-    yield from _epoch(at_ns, rows, channels)
-
-
-def _epoch(
-    at_ns: int, rows: dict[str, CodeObservation], channels: dict[str, int]
-) -> Iterator[Epoch]:
-    week, tow_ns = divmod(at_ns, WEEK_NS)
-    epoch = epoch_of(week, tow_ns * 1e-9, list(rows.values()), channels)
-    if epoch is not None:
-        yield epoch
+    table = csv.reader(line for line in lines if line.startswith("Raw,"))
+    known = (dict(zip(columns, fields, strict=False)) for fields in table)
+    timed = (row for row in known if row.get("TimeNanos"))
+    discontinuities, bias_ns, channels = "", 0, dict[str, int]()
+    for clock, together in groupby(timed, lambda row: row["TimeNanos"]):
+        rows: tuple[dict[str, CodeObservation], ...] = {}, {}
+        at_ns = -1
+        for row in together:
+            try:
+                if at_ns < 0:
+                    if discontinuities != row["HardwareClockDiscontinuityCount"] or not bias_ns:
+                        discontinuities = row["HardwareClockDiscontinuityCount"]
+                        bias_ns = int(row["FullBiasNanos"])
+                    at_ns = int(clock) - bias_ns
+                found = _observation(row, at_ns)
+            except (KeyError, ValueError):
+                continue  # a damaged row
+            if found is not None:
+                rows[found[3] in SECOND[found[0][0]]].setdefault(found[0], found)
+                if found[0][0] == "R":
+                    offset_hz = float(row["CarrierFrequencyHz"] or CENTRE_HZ) - CENTRE_HZ
+                    channels[found[0]] = round(offset_hz / CHANNEL_HZ)
+        week, tow_ns = divmod(at_ns, WEEK_NS)
+        epoch = epoch_of(week, tow_ns * 1e-9, rows[0].values(), channels, rows[1])
+        if epoch is not None:
+            yield epoch
 
 
 def _observation(row: Mapping[str, str], at_ns: int) -> CodeObservation | None:
     """The code observation of a row received at `at_ns` of GPS time; None where it has no range."""
     if row["ConstellationType"] not in SYSTEMS:
         return None
-    system, first, carrier_hz, signal = SYSTEMS[row["ConstellationType"]]
+    system, first, signals = SYSTEMS[row["ConstellationType"]]
+    carriers_hz = {carrier_of(system, signal): signal for signal in signals}
     number, state = int(row["Svid"]) - first, int(row["State"])
-    received_hz = float(row.get("CarrierFrequencyHz") or carrier_hz)
+    received_hz = float(row.get("CarrierFrequencyHz") or next(iter(carriers_hz)))
+    carrier_hz = min(carriers_hz, key=lambda hz: abs(hz - received_hz))
     sent_error_ns = float(row["ReceivedSvTimeUncertaintyNanos"])
     if abs(received_hz / carrier_hz - 1.0) > SAME_CARRIER or sent_error_ns > MOST_SENT_ERROR_NS:
         return None
@@ -127,4 +129,4 @@ def _observation(row: Mapping[str, str], at_ns: int) -> CodeObservation | None:
     rate_mps = float(row["PseudorangeRateMetersPerSecond"] or math.nan)
     doppler_hz = -rate_mps * received_hz / SPEED_OF_LIGHT_MPS
     values = travel_ns * 1e-9 * SPEED_OF_LIGHT_MPS, doppler_hz, float(row["Cn0DbHz"])
-    return f"{system}{number:02d}", values, carrier_hz, signal
+    return f"{system}{number:02d}", values, carrier_hz, carriers_hz[carrier_hz]

@@ -11,7 +11,6 @@ References
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from mavproxy_fault.rtcm.bit_fields import BitReader
 from mavproxy_fault.rtcm.ephemeris_messages import (
@@ -27,13 +26,11 @@ from mavproxy_fault.rtcm.ephemeris_messages import (
 from mavproxy_fault.rtcm.transport import crc24q
 
 Coefficients = tuple[float, float, float, float]  # of Klobuchar's model
-Fields = dict[str, float]
 
 WEEK_S = 604_800
 PREAMBLE = 0x8B
 KLOBUCHAR_PAGE = 56  # the page's id in subframe 4
 KLOBUCHAR_STEPS = (2**-30, 2**-27, 2**-24, 2**-24, 2**11, 2**14, 2**16, 2**16)
-INAV_WORDS = (1, 2, 3, 4, 5)
 
 
 def _rows(table: tuple[Row, ...], names: str) -> tuple[Row, ...]:
@@ -53,13 +50,13 @@ _SUBFRAMES: dict[int, tuple[Row, ...]] = {
     2: (*_rows(GPS_ROWS, "iode"), *SHAPE_ROWS, *_rows(GPS_ROWS, "toe_s long_fit")),
     3: (*ORIENTATION_ROWS, *_rows(GPS_ROWS, "iode idot_rps")),
 }
-_INAV: dict[int, tuple[Row, ...]] = {
-    1: _rows(GALILEO_ROWS, "iode toe_s m0_rad eccentricity sqrt_a"),
-    2: _rows(GALILEO_ROWS, "iode omega0_rad i0_rad omega_rad idot_rps"),
-    3: _rows(GALILEO_ROWS, "iode omega_dot_rps delta_n_rps cuc_rad cus_rad crc_m crs_m accuracy"),
-    4: _rows(GALILEO_ROWS, "iode prn cic_rad cis_rad toc_s af0_s af1 af2_per_s"),
+_INAV: dict[int, tuple[Row, ...]] = {  # after the six bits of the word's type
+    1: _rows(GALILEO_ROWS, "6 iode toe_s m0_rad eccentricity sqrt_a"),
+    2: _rows(GALILEO_ROWS, "6 iode omega0_rad i0_rad omega_rad idot_rps"),
+    3: _rows(GALILEO_ROWS, "6 iode omega_dot_rps delta_n_rps cuc_rad cus_rad crc_m crs_m accuracy"),
+    4: _rows(GALILEO_ROWS, "6 iode prn cic_rad cis_rad toc_s af0_s af1 af2_per_s"),
     5: (
-        *_rows(GALILEO_ROWS, "41 group_delay_e5a_s group_delay_s"),
+        *_rows(GALILEO_ROWS, "47 group_delay_e5a_s group_delay_s"),
         ("e5b_health", 2, 1),
         ("e1_health", 2, 1),
         ("e5b_invalid", 1, 1),
@@ -68,45 +65,34 @@ _INAV: dict[int, tuple[Row, ...]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Subframe:
-    """Ten words of 24 bits without parity; `number` is 1 to 5."""
-
-    number: int
-    data: bytes
-
-
-def parse_subframe(words: Sequence[int]) -> Subframe | None:
-    """Parse a subframe from ten 30-bit words; None without the preamble."""
+def parse_subframe(words: Sequence[int]) -> tuple[int, bytes] | None:
+    """Number (1 to 5) and data of a subframe of ten 30-bit words, without their parity; None
+    without the preamble."""
     if len(words) < 10:
         return None
     data = b"".join((word >> 6 & 0xFFFFFF).to_bytes(3, "big") for word in words[:10])
-    return Subframe(data[5] >> 2 & 7, data) if data[0] == PREAMBLE else None
+    return (data[5] >> 2 & 7, data) if data[0] == PREAMBLE else None
 
 
-def klobuchar_coefficients(found: Subframe) -> tuple[Coefficients, Coefficients] | None:
+def klobuchar_coefficients(number: int, data: bytes) -> tuple[Coefficients, Coefficients] | None:
     """Klobuchar alpha and beta; None if the subframe is not page 18 of subframe 4."""
-    if found.number != 4 or found.data[6] & 0x3F != KLOBUCHAR_PAGE:
+    if number != 4 or data[6] & 0x3F != KLOBUCHAR_PAGE:
         return None
-    counts = BitReader(found.data[7:15]).column(8, -8)
+    counts = BitReader(data[7:15]).column(8, -8)
     a0, a1, a2, a3, b0, b1, b2, b3 = (
         count * step for count, step in zip(counts, KLOBUCHAR_STEPS, strict=True)
     )
     return (a0, a1, a2, a3), (b0, b1, b2, b3)
 
 
-def gps_ephemeris(
-    satellite: str, subframes: dict[int, Subframe], near_s: float
-) -> Ephemeris | None:
+def gps_ephemeris(satellite: str, subframes: dict[int, bytes], near_s: float) -> Ephemeris | None:
     """The ephemeris of the newest subframes 1, 2 and 3; None while their issues of data differ.
 
     `near_s` is the approximate time of transmission, in s since the start of GPS time.
     """
     if not all(number in subframes for number in _SUBFRAMES):
         return None
-    parts = {
-        k: read_fields(BitReader(subframes[k].data[6:]), rows) for k, rows in _SUBFRAMES.items()
-    }
+    parts = {k: read_fields(BitReader(subframes[k][6:]), rows) for k, rows in _SUBFRAMES.items()}
     if not parts[1]["iodc_low"] == parts[2]["iode"] == parts[3]["iode"]:
         return None
     values = parts[1] | parts[2] | parts[3]
@@ -138,13 +124,9 @@ def parse_inav_word(words: Sequence[int]) -> tuple[int, bytes] | None:
 
 def inav_ephemeris(satellite: str, words: dict[int, bytes], near_s: float) -> Ephemeris | None:
     """The ephemeris of the newest I/NAV words 1 to 5; None while their issues of data differ."""
-    if not all(kind in words for kind in INAV_WORDS):
+    if not all(kind in words for kind in _INAV):
         return None
-    parts: dict[int, Fields] = {}
-    for kind, rows in _INAV.items():
-        bits = BitReader(words[kind])
-        bits.unsigned(6)  # the word's type
-        parts[kind] = read_fields(bits, rows)
+    parts = {kind: read_fields(BitReader(words[kind]), rows) for kind, rows in _INAV.items()}
     # Word 5 has no issue of data.
     if len({parts[kind]["iode"] for kind in (1, 2, 3, 4)}) > 1:
         return None

@@ -6,12 +6,40 @@ from pathlib import Path
 
 from analysis.recordings.gnss.dataflash_ranges import read_dataflash_ranges
 from analysis.recordings.gnss.gnss_logger import read_gnss_logger
-from analysis.recordings.gnss.rtcm_file import read_rtcm
+from analysis.recordings.gnss.log_bytes import read_log_bytes
 from analysis.recordings.gnss.sbf_log import read_sbf
 from analysis.recordings.gnss.ubx_log import read_ubx
+from analysis.samples.range_epochs import EpochAssembler
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
+from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.rtcm.ephemeris_messages import SYSTEMS
+from mavproxy_fault.rtcm.transport import message_number, split_messages
 
 Contents = tuple[list[Epoch], list[EphemerisSample | IonosphereSample]]
+
+
+def read_rtcm(path: Path) -> Contents:
+    """All epochs of a file of RTCM 3, and its ephemerides with timestamp 0.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or holds no MSM7 of GPS or Galileo.
+    """
+    data = read_log_bytes(path, "a file of RTCM 3")
+    messages = list(split_messages(data))
+    # Ephemerides first: they give the week, which ranges lack.
+    messages.sort(key=lambda message: message_number(message) not in SYSTEMS)
+    samples = EpochAssembler().samples((i, message, None) for i, message in enumerate(messages))
+    epochs = [sample for _, sample in samples if isinstance(sample, Epoch)]
+    if not epochs:
+        raise ConfigError(
+            f"{path}: has no MSM7 of GPS or Galileo (1077, 1097); convert other messages to RINEX,"
+            " for example with RTKLIB's convbin"
+        )
+    return epochs, [sample for _, sample in samples if isinstance(sample, EphemerisSample)]
+
+
 # The ends of files' names: of u-blox, PX4, Septentrio (its own: SEPT078M.21_), RTCM, ArduPilot.
 READERS: dict[str, Callable[[Path], Contents]] = {
     r"\.(ubx|ubx\.gz|ulg)": read_ubx,

@@ -38,17 +38,7 @@ def read_navigation(path: Path) -> list[EphemerisSample | IonosphereSample]:
 
 def _state_vector(record: NavigationRecord) -> StateVector:
     """A GLONASS record; its lengths are in km."""
-    v = record.numbers
+    n, (af0_s, af1, _) = record.numbers, record.clock
     # One line per axis: position, velocity, acceleration; the first line ends with the health.
-    axes = [(1000.0 * v[i], 1000.0 * v[i + 4], 1000.0 * v[i + 8]) for i in range(3)]
-    return StateVector(
-        satellite=record.satellite,
-        week=record.toc[0],
-        toe_s=record.toc[1],
-        r_m=axes[0],
-        v_mps=axes[1],
-        a_mps2=axes[2],
-        af0_s=record.clock[0],
-        af1=record.clock[1],
-        health=int(v[3]),
-    )
+    r, v, a = ((1000.0 * n[i], 1000.0 * n[i + 4], 1000.0 * n[i + 8]) for i in range(3))
+    return StateVector(record.satellite, *record.toc, r, v, a, af0_s, af1, int(n[3]))

@@ -1,8 +1,9 @@
-"""Read RINEX 2, 3 and 4 observation files: one code range, Doppler and C/N0 per satellite.
+"""Read RINEX 2, 3 and 4 observation files: code ranges, Doppler and C/N0 of each satellite.
 
 Only the signals that the detector uses are read: L1 of GPS and QZSS, Galileo E1, GLONASS G1, and
-B1I or B3I of BeiDou. Of each satellite the first signal of `PREFERRED` with a value is used, always
-on the carrier of its first observation [1]_ [2]_. `mavproxy_fault.rinex` finds the epochs.
+B1I or B3I of BeiDou, and one on a second frequency. Of each satellite the first signal of
+`PREFERRED`, and of `SECOND`, with a value is used, always on the carrier of its first observation
+[1]_ [2]_. `mavproxy_fault.rinex` finds the epochs.
 
 References
 ----------
@@ -11,8 +12,9 @@ References
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -20,9 +22,9 @@ import numpy as np
 from analysis.orbits.glonass import CENTRE_HZ, CHANNEL_HZ, G2_HZ
 from analysis.samples.sample import Epoch, Vector
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
-from mavproxy_fault.rinex.observation_header import ObservationHeader
+from mavproxy_fault.rinex.observation_header import ObservationField, ObservationHeader
 from mavproxy_fault.rinex.observation_text import file_epochs
-from mavproxy_fault.rinex.rinex_text import header_of, read_rinex_text
+from mavproxy_fault.rinex.rinex_text import check_header, read_rinex_text
 from mavproxy_fault.rinex.signal_fields import CARRIERS_MHZ, VALUE
 
 PREFERRED = {
@@ -32,55 +34,57 @@ PREFERRED = {
     "C": ("2I", "1I", "2X", "6I", "6X"),  # 1I is what RINEX 3.02 calls B1I
     "J": ("1C", "1E", "1X", "1L", "1S"),  # 1E: C/B, which later satellites send in place of C/A
 }
-CODES_2 = {"1C": "C1", "1P": "P1"}  # of RINEX 2, which does not know BeiDou
+SECOND = {
+    "G": ("2W", "2P", "2L", "2X", "2S", "5Q", "5X", "5I"),
+    "E": ("7Q", "7X", "7I", "5Q", "5X", "5I"),
+    "R": ("2C", "2P"),
+    "C": ("6I", "6X", "7I", "7X", "5P", "5X"),
+    "J": ("2L", "2X", "2S", "5Q", "5X", "5I"),
+}
+# Of RINEX 2, which does not know BeiDou. GPS's C2 is L2C, of which 2S stands for any.
+CODES_2 = {"1C": "C1", "1P": "P1", "2W": "P2", "2P": "P2", "2S": "C2", "2C": "C2"}
+CODES_2 |= {"5X": "C5", "7X": "C7"}
 SAME_CARRIER = 0.004  # GLONASS channels are within 0.3 % of channel 0; B1I is 0.9 % from L1
-ABSENT_COLUMN = 1 << 20  # beyond the end of any line
+ABSENT = ObservationField("", 0, 1 << 20)  # beyond the end of any line
 # Satellite; code in m, Doppler in Hz, C/N0 in dBHz; carrier in Hz (GLONASS: channel 0); signal.
 CodeObservation = tuple[str, tuple[float, float, float], float, str]
+NOT_OBSERVED = (math.nan, math.nan, math.nan), math.nan, ""
 
 
 class _Signal(NamedTuple):
-    """Lines after a satellite's first and start columns of code, Doppler and C/N0 of one signal,
-    the factor of the stored code; code and carrier (GLONASS: of channel 0)."""
+    """Fields of code, Doppler and C/N0 of one signal, lines counted from a satellite's first; code
+    and carrier (GLONASS: of channel 0)."""
 
-    places: tuple[tuple[int, int], ...]
-    scale: float
+    fields: tuple[ObservationField, ...]
     signal: str
     carrier_hz: float
 
 
-def read_observations(path: Path) -> list[Epoch]:
+def read_observations(path: Path, lines: list[str] | None = None) -> list[Epoch]:
     """All epochs of an observation file in file order; `t_us` counts from the start of GPS time.
+    `lines` are its lines, if they were modified beforehand.
 
     Raises
     ------
     ConfigError
         If the file is not a RINEX observation file.
     """
-    return epochs_of(path, read_rinex_text(path))
-
-
-def epochs_of(path: Path, lines: list[str]) -> list[Epoch]:
-    """All epochs in the lines of an observation file; `path` is used in errors."""
-    header_of(path, lines, "O", "an observation file")
+    lines = read_rinex_text(path) if lines is None else lines
+    check_header(path, lines, "O", "an observation file")
     return list(_epochs(lines))
 
 
-def _signals(header: ObservationHeader, system: str) -> list[_Signal]:
+def _signals(header: ObservationHeader, system: str, preferred: tuple[str, ...]) -> list[_Signal]:
     """A system's signals in the file, in order of preference."""
-    types = header.types_of(system)
-    found = []
-    for signal in PREFERRED[system]:
-        code, rest = "C" + signal, ("D" + signal, "S" + signal)
+    # Of a type that is named twice the first.
+    fields, found = {field.name: field for field in reversed(header.fields(system))}, []
+    for signal in preferred:
+        kinds = "C" + signal, "D" + signal, "S" + signal
         if header.version < 3.0:
-            code, rest = CODES_2.get(signal, ""), ("D1", "S1")
-        if code in types:
-            places = [
-                header.place(types.index(kind)) if kind in types else (0, ABSENT_COLUMN)
-                for kind in (code, *rest)
-            ]
-            scale, carrier_hz = header.scale_of(system, code), carrier_of(system, signal)
-            found.append(_Signal(tuple(places), scale, signal, carrier_hz))
+            kinds = CODES_2.get(signal, ""), "D" + signal[0], "S" + signal[0]
+        if kinds[0] in fields:
+            own = tuple(fields.get(kind, ABSENT) for kind in kinds)
+            found.append(_Signal(own, signal, carrier_of(system, signal)))
     return found
 
 
@@ -95,8 +99,8 @@ def carrier_of(system: str, signal: str) -> float:
 def _values(lines: list[str], row: int, signal: _Signal) -> tuple[float, float, float] | None:
     """Code, Doppler and C/N0 of a satellite; None without a valid code range."""
     try:
-        texts = [lines[row + line][column : column + VALUE] for line, column in signal.places]
-        range_m = float(texts[0]) / signal.scale
+        texts = [lines[row + f.at][f.column : f.column + VALUE] for f in signal.fields]
+        range_m = float(texts[0]) / signal.fields[0].scale
         # RINEX files use blank, zero or NaN for a missing value.
         if not range_m > 0.0:
             return None
@@ -107,17 +111,31 @@ def _values(lines: list[str], row: int, signal: _Signal) -> tuple[float, float, 
 
 
 def epoch_of(
-    week: int, tow_s: float, rows: list[CodeObservation], channels: Mapping[str, int]
+    week: int,
+    tow_s: float,
+    rows: Iterable[CodeObservation],
+    channels: Mapping[str, int],
+    seconds: Mapping[str, CodeObservation] = MappingProxyType({}),
 ) -> Epoch | None:
-    """Build an epoch; `channels` are those of GLONASS. None without any range."""
+    """Build an epoch; `channels` are those of GLONASS, `seconds` what is observed of a satellite on
+    a second frequency. None without any range."""
+    rows, second = list(rows), None
     if not rows:
         return None
+    # BeiDou's first range may be the one on B3I.
+    others = {n: seconds[n] for n, _, hz, _ in rows if n in seconds and seconds[n][2] != hz}
+    if others:
+        unseen = [others.get(name, (name, *NOT_OBSERVED)) for name, *_ in rows]
+        second = epoch_of(week, tow_s, unseen, channels)
     table = np.array([row[1] for row in rows])
     carriers: Vector | None = None
     # A positive Doppler shift means an approaching satellite.
     rates = table[:, 1] * (-SPEED_OF_LIGHT_MPS / L1_HZ)
     if any(row[2] != L1_HZ for row in rows):
-        carriers = np.array([hz + CHANNEL_HZ * channels.get(name, 0) for name, _, hz, _ in rows])
+        # The carriers of a GLONASS channel have the same ratio.
+        centres = np.array([row[2] for row in rows])
+        shift = np.array([CHANNEL_HZ * channels.get(name, 0) for name, *_ in rows])
+        carriers = centres + shift * (centres / CENTRE_HZ)
         unknown = [name[0] == "R" and name not in channels for name, *_ in rows]
         rates = np.where(unknown, np.nan, table[:, 1] * (-SPEED_OF_LIGHT_MPS / carriers))
     return Epoch(
@@ -130,25 +148,30 @@ def epoch_of(
         cn0_dbhz=table[:, 2].copy(),
         carrier_hz=carriers,
         signals=tuple(row[3] for row in rows),
+        second=second,
     )
 
 
 def _epochs(lines: list[str]) -> Iterator[Epoch]:
-    carriers: dict[str, float] = {}  # of each satellite, at its first range
+    carriers: tuple[dict[str, float], ...] = {}, {}  # of each satellite, at its first ranges
     header: ObservationHeader | None = None
-    signals: dict[str, list[_Signal]] = {}
+    signals: list[dict[str, list[_Signal]]] = []
     for epoch in file_epochs(lines):
         if epoch.header is not header:  # header records within the file
             header = epoch.header
-            signals = {system: _signals(header, system) for system in PREFERRED}
-        rows = []
+            signals = [
+                {system: _signals(header, system, codes) for system, codes in table.items()}
+                for table in (PREFERRED, SECOND)
+            ]
+        rows: tuple[dict[str, CodeObservation], ...] = {}, {}
         for name, row in epoch.rows.items():
-            for signal in signals.get(name[0], ()):
-                values = _values(lines, row, signal)
-                carrier_hz = signal.carrier_hz
-                if values is not None and carriers.setdefault(name, carrier_hz) == carrier_hz:
-                    rows.append((name, values, carrier_hz, signal.signal))
-                    break
-        found = epoch_of(epoch.week, epoch.tow_s, rows, epoch.header.channels)
-        if found is not None:
-            yield found
+            for known, kept, found in zip(signals, carriers, rows, strict=True):
+                for signal in known.get(name[0], ()):
+                    values, hz = _values(lines, row, signal), signal.carrier_hz
+                    if values is not None and kept.setdefault(name, hz) == hz:
+                        found[name] = name, values, hz, signal.signal
+                        break
+        channels = epoch.header.channels
+        made = epoch_of(epoch.week, epoch.tow_s, rows[0].values(), channels, rows[1])
+        if made is not None:
+            yield made

@@ -20,7 +20,12 @@ from typing import NamedTuple
 
 from analysis.recordings.gnss.log_bytes import read_log_bytes
 from analysis.recordings.gnss.navigation_words import WEEK_S
-from analysis.recordings.gnss.rinex_observations import CodeObservation, carrier_of, epoch_of
+from analysis.recordings.gnss.rinex_observations import (
+    SECOND,
+    CodeObservation,
+    carrier_of,
+    epoch_of,
+)
 from analysis.recordings.gnss.sbf_orbits import ORBITS, block_number, read_orbit, satellite_name
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
@@ -48,7 +53,7 @@ SIGNALS = {  # by signal number: RINEX system letter and signal code
     38: "J1E",
 }  # fmt: skip
 CARRIERS_HZ = {number: carrier_of(name[0], name[1:]) for number, name in SIGNALS.items()}
-READ = ("1C", "1E", "2I")  # of these the ranges are used
+FIRST_SIGNALS = ("1C", "1E", "2I")  # whose ranges are used, beside those of a second frequency
 
 
 def read_sbf(path: Path) -> tuple[list[Epoch], list[EphemerisSample | IonosphereSample]]:
@@ -93,17 +98,20 @@ def _epochs(payloads: list[bytes]) -> Iterator[Epoch]:
     """The epochs; one epoch may span several consecutive blocks."""
     usable = (payload for payload in payloads if len(payload) >= HEAD.size)
     for (tow_ms, week), together in groupby(usable, lambda payload: HEAD.unpack_from(payload)[:2]):
-        rows: dict[str, CodeObservation] = {}
+        rows: tuple[dict[str, CodeObservation], ...] = {}, {}
         channels: dict[str, int] = {}
         for tracked in (found for payload in together for found in _tracked(payload)):
-            name, known = satellite_name(tracked.satellite), SIGNALS.get(tracked.signal, "")
-            if name is None or name[0] != known[:1] or known[1:] not in READ or not tracked.usable:
+            name, known = satellite_name(tracked.satellite), SIGNALS.get(tracked.signal, " ")
+            if name is None or name[0] != known[0] or not tracked.usable:
                 continue
-            values = tracked.range_m, tracked.doppler_hz, tracked.cn0_dbhz
-            rows.setdefault(name, (name, values, CARRIERS_HZ[tracked.signal], known[1:]))
-            if name[0] == "R":
+            second, signal = known[1:] in SECOND[known[0]], known[1:]
+            if second or signal in FIRST_SIGNALS:
+                values = tracked.range_m, tracked.doppler_hz, tracked.cn0_dbhz
+                row = name, values, CARRIERS_HZ[tracked.signal], signal
+                rows[second].setdefault(name, row)
+            if known == "R1C":
                 channels[name] = (tracked.information >> 3) - CHANNEL_ZERO
-        epoch = epoch_of(week, 1e-3 * tow_ms, list(rows.values()), channels)
+        epoch = epoch_of(week, 1e-3 * tow_ms, rows[0].values(), channels, rows[1])
         if epoch is not None and tow_ms < 1000 * WEEK_S:
             yield epoch
 

@@ -20,23 +20,24 @@ from pathlib import Path
 
 import numpy as np
 
-from analysis.orbits.broadcast import B1I_HZ
-from analysis.orbits.glonass import CENTRE_HZ
 from analysis.recordings.flight_logs.ulog import read_ulog
 from analysis.recordings.gnss.log_bytes import read_log_bytes
 from analysis.recordings.gnss.navigation_words import (
     WEEK_S,
-    Subframe,
     gps_ephemeris,
     inav_ephemeris,
     klobuchar_coefficients,
     parse_inav_word,
     parse_subframe,
 )
-from analysis.recordings.gnss.rinex_observations import CodeObservation, epoch_of
+from analysis.recordings.gnss.rinex_observations import (
+    SECOND,
+    CodeObservation,
+    carrier_of,
+    epoch_of,
+)
 from analysis.samples.sample import EphemerisSample, Epoch, IonosphereSample
 from mavproxy_fault.documents.errors import ConfigError
-from mavproxy_fault.numerics.constants import L1_HZ
 from mavproxy_fault.rtcm.ephemeris_messages import Ephemeris
 
 SYNC = b"\xb5b"
@@ -51,18 +52,21 @@ RANGE = np.dtype(
 RANGE_VALID = 1
 # By u-blox system and signal number: RINEX letter and code, carrier (GLONASS: channel 0).
 SIGNALS = {
-    (0, 0): ("G", "1C", L1_HZ),
-    (2, 0): ("E", "1C", L1_HZ),
-    (2, 1): ("E", "1B", L1_HZ),
-    (3, 0): ("C", "2I", B1I_HZ),
-    (3, 1): ("C", "2I", B1I_HZ),
-    (5, 0): ("J", "1C", L1_HZ),
-    (6, 0): ("R", "1C", CENTRE_HZ),
+    (number, signal): (code[0], code[1:], carrier_of(code[0], code[1:]))
+    for number, codes in {
+        0: {0: "G1C", 3: "G2L", 4: "G2S", 6: "G5I", 7: "G5Q"},
+        2: {0: "E1C", 1: "E1B", 3: "E5I", 4: "E5Q", 5: "E7I", 6: "E7Q"},
+        3: {0: "C2I", 1: "C2I", 2: "C7I", 3: "C7I", 4: "C6I", 7: "C5P"},
+        5: {0: "J1C", 4: "J2S", 5: "J2L", 8: "J5I", 9: "J5Q"},
+        6: {0: "R1C", 2: "R2C"},
+    }.items()
+    for signal, code in codes.items()
 }
 CHANNEL_ZERO = 7  # offset of GLONASS channel numbers
 UNKNOWN_SATELLITE = 255
 HEAD_BYTES = 8  # header of SFRBX before its words; that of RAWX is longer
 GPS, GALILEO, QZSS = 0, 2, 5
+LETTERS = {GPS: "G", GALILEO: "E", QZSS: "J"}
 # C/A; E1 and E5b (0 on receivers with E1 only). Other signals carry other messages.
 MESSAGE_SIGNALS = {GPS: (0,), GALILEO: (0, 1, 5, 6), QZSS: (0,)}
 Broadcast = EphemerisSample | IonosphereSample
@@ -146,7 +150,7 @@ def rawx_epoch(payload: bytes) -> Epoch | None:
     tow_s, week = float(head["tow_s"]), int(head["week"])
     if week == 0 or not 0.0 <= tow_s < WEEK_S:
         return None
-    rows: dict[str, CodeObservation] = {}
+    rows: tuple[dict[str, CodeObservation], ...] = {}, {}
     channels: dict[str, int] = {}
     for row in np.frombuffer(payload, RANGE, count, HEAD.itemsize):
         signal = SIGNALS.get((int(row["system"]), int(row["signal"])))
@@ -156,16 +160,15 @@ def rawx_epoch(payload: bytes) -> Epoch | None:
         letter, code, carrier_hz = signal
         name = f"{letter}{number:02d}"
         values = float(row["pseudorange_m"]), float(row["doppler_hz"]), float(row["cn0_dbhz"])
-        rows.setdefault(name, (name, values, carrier_hz, code))
+        rows[code in SECOND[letter]].setdefault(name, (name, values, carrier_hz, code))
         if letter == "R":
             channels[name] = int(row["slot"]) - CHANNEL_ZERO
-    return epoch_of(week, tow_s, list(rows.values()), channels)
+    return epoch_of(week, tow_s, rows[0].values(), channels, rows[1])
 
 
 def _broadcasts(payloads: list[bytes], near_s: float) -> Iterator[Broadcast]:
     """Ephemerides and ionosphere of all satellites, each once per change."""
-    subframes: dict[str, dict[int, Subframe]] = {}
-    inav: dict[str, dict[int, bytes]] = {}
+    known: dict[str, dict[int, bytes]] = {}  # the newest subframes or words by number
     newest: dict[str, Ephemeris] = {}
     for payload in payloads:
         system, number, signal, _, count = payload[:5]
@@ -173,18 +176,20 @@ def _broadcasts(payloads: list[bytes], near_s: float) -> Iterator[Broadcast]:
         if short or signal not in MESSAGE_SIGNALS.get(system, ()):
             continue
         words = np.frombuffer(payload, "<u4", count, HEAD_BYTES).tolist()
-        ephemeris = None
-        if system in (GPS, QZSS) and (part := parse_subframe(words)) is not None:
-            name = f"{'G' if system == GPS else 'J'}{number:02d}"
-            subframes.setdefault(name, {})[part.number] = part
-            ephemeris = gps_ephemeris(name, subframes[name], near_s)
-            # QZSS coefficients are valid for Japan only.
-            if system == GPS and (ionosphere := klobuchar_coefficients(part)) is not None:
-                yield IonosphereSample(0, *ionosphere)
-        elif system == GALILEO and (word := parse_inav_word(words)) is not None:
-            name = f"E{number:02d}"
-            inav.setdefault(name, {})[word[0]] = word[1]
-            ephemeris = inav_ephemeris(name, inav[name], near_s)
+        parse, decode = (
+            (parse_inav_word, inav_ephemeris)
+            if system == GALILEO
+            else (parse_subframe, gps_ephemeris)
+        )
+        if (part := parse(words)) is None:
+            continue
+        name = f"{LETTERS[system]}{number:02d}"
+        parts = known.setdefault(name, {})
+        parts[part[0]] = part[1]
+        ephemeris = decode(name, parts, near_s)
+        # QZSS coefficients are valid for Japan only.
+        if system == GPS and (ionosphere := klobuchar_coefficients(*part)) is not None:
+            yield IonosphereSample(0, *ionosphere)
         if ephemeris is not None and newest.get(ephemeris.satellite) != ephemeris:
             newest[ephemeris.satellite] = ephemeris
             yield EphemerisSample(0, ephemeris)

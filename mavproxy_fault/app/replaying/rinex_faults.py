@@ -18,7 +18,7 @@ from mavproxy_fault.faults.satellite import SatelliteFault
 from mavproxy_fault.proxy.engine import Engine
 from mavproxy_fault.rinex.observation_text import file_epochs
 from mavproxy_fault.rinex.range_epoch import RangeEpoch
-from mavproxy_fault.rinex.rinex_text import PACKED, header_of, read_rinex_text
+from mavproxy_fault.rinex.rinex_text import PACKED, check_header, read_rinex_text
 from mavproxy_fault.rinex.signal_change import Sky, needs_sky, signal_changes
 from mavproxy_fault.rinex.signal_fields import has_range, write_change
 from mavproxy_fault.schedule.entries import Entry, Schedule, never_acted, read_schedule
@@ -79,7 +79,7 @@ def faulted_lines(
         if isinstance(entry.fault, PlantFault) and needs_sky(entry.fault.names) and sky is None:
             sky = _sky(path, navigation, entry)
     lines = read_rinex_text(path)
-    header_of(path, lines, "O", "an observation file")
+    check_header(path, lines, "O", "an observation file")
     engine, last_us = Engine(Schedule(schedule.seed, faults)), 0
     labels, rng = [], np.random.default_rng(schedule.seed)
     for epoch in file_epochs(lines):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from analysis.detection.recorded_sky import locate_receiver
-from analysis.detection.sky_geometry import orbits_of
+from analysis.detection.recorded_sky import locate_receiver, orbits_of
 from analysis.recordings.read_recordings import read_rinex
 from analysis.samples.sample import Epoch
 from mavproxy_fault.app.replaying.rinex_faults import faulted_lines

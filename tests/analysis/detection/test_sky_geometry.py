@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from analysis.detection import Detector, DetectorConfig
-from analysis.detection.sky_geometry import RecordedSky
+from analysis.detection.recorded_sky import RecordedSky
 from analysis.recordings.read_recordings import read_rinex
 from analysis.results import Decision
 from analysis.samples.block import EPOCH

@@ -12,7 +12,7 @@ from analysis.fusion.fusion_config import FusionConfig
 from analysis.fusion.graph_start import Node, first_guess
 from analysis.fusion.local_frame import frame_at
 from analysis.fusion.window import variable_key
-from analysis.orbits.snapshot import design_matrix
+from analysis.orbits.broadcast import design_matrix
 from analysis.samples.sample import Epoch
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 

@@ -8,10 +8,11 @@ from analysis.orbits.broadcast import (
     AZIMUTH,
     CLOCK_OF,
     ELEVATION,
+    design_matrix,
     predict_ranges,
     satellite_states,
+    systems_of,
 )
-from analysis.orbits.snapshot import design_matrix, systems_of
 from analysis.samples.sample import Epoch, Vector
 
 ITERATIONS = 12

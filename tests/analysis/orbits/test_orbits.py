@@ -13,14 +13,14 @@ from analysis.orbits.broadcast import (
     TYPICAL_ALPHA,
     TYPICAL_BETA,
     pack_ephemeris,
-    packed_for_carrier,
+    packed_for,
     satellite_states,
 )
 from analysis.recordings.gnss.rinex_navigation import read_navigation
 from analysis.recordings.gnss.rinex_observations import read_observations
 from analysis.recordings.read_recordings import read_rinex_samples
 from analysis.results import Decision
-from analysis.samples.sample import EphemerisSample, Epoch
+from analysis.samples.sample import EphemerisSample, Epoch, Orbit
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.rinex.gps_clock import leap_seconds
 from tests.analysis.orbits.snapshot_solution import Fix, solve_position
@@ -29,9 +29,13 @@ AUTHORITY = Path(__file__).parents[2] / "authorities/rtklib_states"
 NUMBERS = {"39": "R07", "106": "C01", "126": "C21"}
 
 
-def packed() -> dict[str, np.ndarray]:
+def orbits() -> dict[str, Orbit]:
     found = [s for s in read_navigation(AUTHORITY / "orbits.nav") if isinstance(s, EphemerisSample)]
-    return {s.ephemeris.satellite: pack_ephemeris(s.ephemeris) for s in found}
+    return {s.ephemeris.satellite: s.ephemeris for s in found}
+
+
+def packed() -> dict[str, np.ndarray]:
+    return {name: pack_ephemeris(orbit) for name, orbit in orbits().items()}
 
 
 def by_rtklib() -> list[tuple[str, np.ndarray, float]]:
@@ -77,8 +81,8 @@ def test_utc_is_behind_gps_time_by_the_leap_seconds():
 
 
 def test_another_carrier_has_its_own_ionosphere_and_b3i_no_group_delay():
-    row = packed()["C21"]
-    b1i, b3i = packed_for_carrier(row, B1I_HZ), packed_for_carrier(row, 1268.52e6)
+    orbit, row = orbits()["C21"], packed()["C21"]
+    b1i, b3i = (packed_for(row, orbit, hz, None) for hz in (B1I_HZ, 1268.52e6))
     assert (b1i[22], b3i[22]) == (row[22], 0.0)
     assert (row[24], b1i[24]) == (1.0, pytest.approx(1.0184, abs=1e-4))
     assert b3i[24] == pytest.approx(1.5424, abs=1e-4)
@@ -122,7 +126,7 @@ def fix_of(samples: list, systems: str) -> Fix:
     epoch = epoch.select([i for i, n in enumerate(names) if n in known and n[0] in systems])
     assert epoch.carrier_hz is not None
     rows = [
-        packed_for_carrier(pack_ephemeris(known[name]), hz)
+        packed_for(pack_ephemeris(known[name]), known[name], hz, None)
         for name, hz in zip(epoch.satellites, epoch.carrier_hz.tolist(), strict=True)
     ]
     ionosphere = np.array(TYPICAL_ALPHA + TYPICAL_BETA)

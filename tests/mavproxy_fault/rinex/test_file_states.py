@@ -211,7 +211,7 @@ def read_one(tmp_path, *lines):
     path = tmp_path / "a.nav"
     head = labelled(f"{3.04:9.2f}{'':11}{'N: GNSS NAV DATA':20}M", "RINEX VERSION / TYPE")
     path.write_text("\n".join([head, END, *lines]) + "\n")
-    return read_navigation_file(path).records
+    return read_navigation_file(path)[0]
 
 
 @pytest.mark.parametrize("week", [0, 1023, 101, 2149, 2150, 2151, 9999])
@@ -266,6 +266,6 @@ def test_glonass_of_rinex_2_is_read(tmp_path):
     lines = [" 7 21  3 19 11 45  0.0" + f"{1e-5:19.12E}{0.0:19.12E}{0.0:19.12E}"]
     lines += [" " * 3 + "".join(f"{x:19.12E}" for x in row) for row in rows]
     path.write_text("\n".join([head, END, *lines]) + "\n")
-    (read,) = read_navigation_file(path).records
+    (read,) = read_navigation_file(path)[0]
     assert (read.satellite, read.toc) == ("R07", (2149, 474_300 + 18))
     assert read.numbers[:12] == [x for row in rows for x in row]

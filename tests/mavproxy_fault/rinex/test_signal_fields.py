@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mavproxy_fault.numerics.constants import L1_HZ, SPEED_OF_LIGHT_MPS
-from mavproxy_fault.rinex.observation_header import FIELD
+from mavproxy_fault.rinex.observation_header import FIELD, ObservationField
 from mavproxy_fault.rinex.range_epoch import RangeEpoch, Setting
 from mavproxy_fault.rinex.signal_change import signal_changes
-from mavproxy_fault.rinex.signal_fields import VALUE, ObservationField, write_change
+from mavproxy_fault.rinex.signal_fields import VALUE, write_change
 
 L1_WAVE_M = SPEED_OF_LIGHT_MPS / L1_HZ
 KINDS = ("C1C", "L1C", "D1C", "S1C")

@@ -13,9 +13,13 @@ import pytest
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris, encode_ephemeris
-from simvehicle.gnss.constellation import Constellation, build_constellation
+from simvehicle.gnss.constellation import (
+    SHIPPED,
+    Constellation,
+    build_constellation,
+    read_navigation,
+)
 from simvehicle.gnss.gnss_config import GnssConfig, ReceiverConfig
-from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
 from simvehicle.gnss.pseudorange import NO_COEFFICIENTS, SAT_ELEVATION, Atmosphere, signal_geometry
 from simvehicle.gnss.satellite_orbits import Orbits, tabulate_orbits
 
@@ -65,7 +69,7 @@ def test_every_satellite_of_the_shipped_sky_is_valid_for_an_hour() -> None:
 
 
 def test_at_the_site_of_the_file_nothing_is_rotated() -> None:
-    real = read_navigation(SHIPPED).ephemerides
+    real = read_navigation(SHIPPED)[0]
     near = build_constellation(GnssConfig(), math.radians(35.3), math.radians(139.5))
     assert dict(zip(near.satellites, near.ephemerides, strict=True)) == real
 
@@ -118,7 +122,7 @@ def test_another_file_starts_where_most_of_its_satellites_are_valid(tmp_path: Pa
     own = build_constellation(GnssConfig(navigation=str(tmp_path / "own.nav")), 0.0, 0.0)
     assert own.week == 2149
     assert all(k is not None for k in own.choose_ephemerides(own.start_s, [None] * 24))
-    assert own.ephemerides == tuple(read_navigation(SHIPPED).ephemerides.values())
+    assert own.ephemerides == tuple(read_navigation(SHIPPED)[0].values())
 
 
 def test_a_start_at_which_nothing_is_valid_is_refused() -> None:

@@ -7,12 +7,12 @@ import pytest
 
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.rinex.gps_clock import time_of_words
-from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
+from simvehicle.gnss.constellation import SHIPPED, read_navigation
 from simvehicle.gnss.satellite_orbits import select_orbits, tabulate_orbits
 from tests.simvehicle.gnss.gnss_parts import satellite_states
 
 PRECISE = Path(__file__).parents[2] / "authorities" / "code_orbits" / "orbits.sp3"
-NAVIGATION = read_navigation(SHIPPED)
+EPHEMERIDES, KLOBUCHAR = read_navigation(SHIPPED)
 
 
 def precise() -> list[tuple[str, float, np.ndarray, float]]:
@@ -33,7 +33,7 @@ def test_broadcast_orbits_and_clocks_agree_with_precise_ones(
     row: tuple[str, float, np.ndarray, float],
 ) -> None:
     name, tow_s, position, clock_s = row
-    ephemeris = min(NAVIGATION.ephemerides[name], key=lambda e: abs(e.toe_s - tow_s))
+    ephemeris = min(EPHEMERIDES[name], key=lambda e: abs(e.toe_s - tow_s))
     r, v, clock, _ = satellite_states(tabulate_orbits([ephemeris], 2149), np.array([tow_s]))
     assert np.linalg.norm(r[0] - position) < 2.5  # broadcast: 1 m, and the antenna's offset
     inertial = v[0] + np.cross([0.0, 0.0, GNSS_EARTH_RATE_RPS], r[0])
@@ -43,7 +43,7 @@ def test_broadcast_orbits_and_clocks_agree_with_precise_ones(
 
 
 def test_velocities_and_clock_rates_are_the_derivatives() -> None:
-    orbits = tabulate_orbits([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
+    orbits = tabulate_orbits([sets[0] for sets in EPHEMERIDES.values()], 2149)
     t = np.full(len(orbits.table), 476000.0)
     r, v, _, clock_rate = satellite_states(orbits, t)
     ahead, behind = satellite_states(orbits, t + 0.5), satellite_states(orbits, t - 0.5)
@@ -53,7 +53,7 @@ def test_velocities_and_clock_rates_are_the_derivatives() -> None:
 
 
 def test_another_week_shifts_the_times_and_nothing_else() -> None:
-    sets = [NAVIGATION.ephemerides["G17"][0], NAVIGATION.ephemerides["E08"][0]]
+    sets = [EPHEMERIDES["G17"][0], EPHEMERIDES["E08"][0]]
     tow = np.array([475300.0, 475300.0])
     here = satellite_states(tabulate_orbits(sets, 2149), tow)
     there = satellite_states(tabulate_orbits(sets, 2148), tow + 604800.0)
@@ -62,7 +62,7 @@ def test_another_week_shifts_the_times_and_nothing_else() -> None:
 
 
 def test_selected_rows_are_the_orbits_of_the_selected_satellites() -> None:
-    every = tabulate_orbits([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
+    every = tabulate_orbits([sets[0] for sets in EPHEMERIDES.values()], 2149)
     some = select_orbits(every, np.array([3, 1]))
     assert some.satellites == (every.satellites[3], every.satellites[1])
     assert np.array_equal(some.table, every.table[[3, 1]])

@@ -14,8 +14,7 @@ from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.rtcm.ephemeris_messages import decode_ephemeris
 from mavproxy_fault.rtcm.msm7 import decode_msm7, encode_epoch
 from simvehicle.gnss.gnss_config import ClockConfig, GnssConfig, ReceiverConfig
-from simvehicle.gnss.gnss_sensor import GnssSensor
-from simvehicle.gnss.gnss_state import GnssState
+from simvehicle.gnss.gnss_sensor import GnssSensor, GnssState
 from simvehicle.gnss.satellite_orbits import tabulate_orbits
 from simvehicle.sensors.readings import EphemerisReading, GpsReading, PseudorangeReading
 from simvehicle.vehicles.body import Truth

@@ -7,7 +7,7 @@ import pytest
 
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.rinex.navigation_record import sisa_index, ura_index
-from simvehicle.gnss.navigation_file import SHIPPED, NavigationData, read_navigation
+from simvehicle.gnss.constellation import SHIPPED, Ephemerides, read_navigation
 
 
 def shipped_lines() -> list[str]:
@@ -15,34 +15,34 @@ def shipped_lines() -> list[str]:
 
 
 def test_the_shipped_file_has_thirteen_gps_and_eleven_galileo_satellites() -> None:
-    navigation = read_navigation(SHIPPED)
-    letters = [name[0] for name in navigation.ephemerides]
+    ephemerides, klobuchar = read_navigation(SHIPPED)
+    letters = [name[0] for name in ephemerides]
     assert (letters.count("G"), letters.count("E")) == (13, 11)
-    assert navigation.alpha == (1.118e-8, 7.451e-9, -5.96e-8, -5.96e-8)
-    assert navigation.beta == (90110.0, 0.0, -196600.0, -65540.0)
+    assert klobuchar[:4] == (1.118e-8, 7.451e-9, -5.96e-8, -5.96e-8)
+    assert klobuchar[4:] == (90110.0, 0.0, -196600.0, -65540.0)
 
 
 def test_a_record_has_the_values_in_the_file() -> None:
-    g03 = read_navigation(SHIPPED).ephemerides["G03"][0]
+    g03 = read_navigation(SHIPPED)[0]["G03"][0]
     assert (g03.week, g03.toe_s, g03.toc_s, g03.iode, g03.iodc) == (2149, 475200, 475200, 37, 37)
     assert g03.af0_s == pytest.approx(-0.112356152385e-03, rel=1e-11)
     assert g03.m0_rad == pytest.approx(0.634492237240, rel=1e-11)
     assert g03.omega0_rad == pytest.approx(-1.14852075735, rel=1e-11)
     assert g03.group_delay_s == pytest.approx(0.186264514923e-08, rel=1e-11)
     assert g03.fit_half_s == 7200.0
-    e01 = read_navigation(SHIPPED).ephemerides["E01"][0]
+    e01 = read_navigation(SHIPPED)[0]["E01"][0]
     assert (e01.accuracy, e01.fit_half_s, e01.health) == (107, 14400.0, 0)
 
 
 def test_the_real_file_it_is_cut_from_reads_too(shared_data: Path) -> None:
-    complete = read_navigation(shared_data / "gnss_static" / "SEPT078M.21P")
-    cut = read_navigation(SHIPPED)
-    assert complete.ephemerides.keys() == cut.ephemerides.keys()
-    for name, sets in cut.ephemerides.items():
-        assert set(sets) <= set(complete.ephemerides[name])
+    complete, _ = read_navigation(shared_data / "gnss_static" / "SEPT078M.21P")
+    cut, _ = read_navigation(SHIPPED)
+    assert complete.keys() == cut.keys()
+    for name, sets in cut.items():
+        assert set(sets) <= set(complete[name])
 
 
-def parsed(lines: list[str], folder: Path) -> NavigationData:
+def parsed(lines: list[str], folder: Path) -> tuple[Ephemerides, tuple[float, ...]]:
     path = folder / "x.nav"
     path.write_text("\n".join(lines) + "\n")
     return read_navigation(path)
@@ -67,20 +67,20 @@ def changed(line_start: str, after: int, old: str, new: str) -> list[str]:
 
 def test_fnav_and_unhealthy_satellites_are_left_out(tmp_path: Path) -> None:
     fnav = changed("E01", 5, ".516000000000D+03", ".258000000000D+03")
-    assert "E01" not in parsed(fnav, tmp_path).ephemerides
+    assert "E01" not in parsed(fnav, tmp_path)[0]
     sick = changed("G02", 6, "  .000000000000D+00", "  .630000000000D+02")
-    assert "G02" not in parsed(sick, tmp_path).ephemerides
+    assert "G02" not in parsed(sick, tmp_path)[0]
 
 
 @pytest.mark.parametrize("source", [1, 4, 5, 513, 516, 517, 3, 0])
 def test_sources_with_inav_are_kept(source: int, tmp_path: Path) -> None:
     inav = changed("E01", 5, ".516000000000D+03", f"{source:17.1f}")
-    found = parsed(inav, tmp_path).ephemerides["E01"][0]
-    assert found == read_navigation(SHIPPED).ephemerides["E01"][0]
+    found = parsed(inav, tmp_path)[0]["E01"][0]
+    assert found == read_navigation(SHIPPED)[0]["E01"][0]
 
 
 def test_a_damaged_record_costs_itself_only(tmp_path: Path) -> None:
-    whole = read_navigation(SHIPPED).ephemerides
+    whole = read_navigation(SHIPPED)[0]
     damages = [
         changed("G03", 2, "D-06", "Q-06"),
         changed("G03", 0, "2021 03 19", "2021 13 19"),
@@ -88,7 +88,7 @@ def test_a_damaged_record_costs_itself_only(tmp_path: Path) -> None:
         changed("G03", 0, "G03", " 03"),
     ]
     for lines in damages:
-        left = parsed(lines, tmp_path).ephemerides
+        left = parsed(lines, tmp_path)[0]
         assert {name: whole[name] for name in whole if name != "G03"} == {
             name: sets for name, sets in left.items() if name != "G03"
         }
@@ -127,7 +127,7 @@ def test_compressed_files_and_rinex_4_are_read_alike(tmp_path: Path) -> None:
     four.write_text("\n".join(with_heads) + "\n")
     whole = read_navigation(SHIPPED)
     assert read_navigation(packed) == whole
-    assert read_navigation(four).ephemerides == whole.ephemerides
+    assert read_navigation(four)[0] == whole[0]
 
 
 def test_rinex_2_is_read_like_rinex_3(tmp_path: Path) -> None:
@@ -150,8 +150,8 @@ def test_rinex_2_is_read_like_rinex_3(tmp_path: Path) -> None:
             )
         if keep:
             two.append(line[1:])
-    whole = read_navigation(SHIPPED).ephemerides
-    assert parsed(two, tmp_path).ephemerides == {n: e for n, e in whole.items() if n[0] == "G"}
+    whole = read_navigation(SHIPPED)[0]
+    assert parsed(two, tmp_path)[0] == {n: e for n, e in whole.items() if n[0] == "G"}
 
 
 def test_a_missing_and_a_binary_file_are_named(tmp_path: Path) -> None:

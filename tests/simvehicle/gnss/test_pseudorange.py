@@ -8,7 +8,7 @@ import pytest
 
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS, SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic, geodetic_from_ecef
-from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
+from simvehicle.gnss.constellation import SHIPPED, read_navigation
 from simvehicle.gnss.pseudorange import (
     DELAY,
     LINE_OF_SIGHT,
@@ -38,9 +38,7 @@ def signals_at(
 
 
 def orbits() -> Orbits:
-    return tabulate_orbits(
-        [sets[0] for sets in read_navigation(SHIPPED).ephemerides.values()], 2149
-    )
+    return tabulate_orbits([sets[0] for sets in read_navigation(SHIPPED)[0].values()], 2149)
 
 
 def inertial(r_m: np.ndarray, t_s: float) -> np.ndarray:
@@ -104,14 +102,14 @@ def real_epochs(path: Path) -> list[tuple[float, dict[str, float]]]:
 
 
 def test_a_real_receiver_at_a_known_position_agrees_with_the_models(shared_data: Path) -> None:
-    navigation = read_navigation(SHIPPED)
-    air = Atmosphere(np.array(navigation.alpha + navigation.beta), True)
+    ephemerides, klobuchar = read_navigation(SHIPPED)
+    air = Atmosphere(np.array(klobuchar), True)
     squares: list[float] = []
     for tow_s, ranges in real_epochs(shared_data / "gnss_static" / "SEPT078M.21O"):
-        names = [n for n in ranges if n in navigation.ephemerides]
+        names = [n for n in ranges if n in ephemerides]
         measured = np.array([ranges[n] for n in names])
         galileo = np.array([n[0] == "E" for n in names])
-        table = tabulate_orbits([navigation.ephemerides[n][0] for n in names], 2149)
+        table = tabulate_orbits([ephemerides[n][0] for n in names], 2149)
         offset_m = 0.0
         for _ in range(3):  # the receiver's clock follows from the ranges
             true_s = tow_s - offset_m / SPEED_OF_LIGHT_MPS

@@ -8,7 +8,7 @@ import pytest
 from mavproxy_fault.numerics.constants import SPEED_OF_LIGHT_MPS
 from mavproxy_fault.numerics.earth import ecef_from_geodetic
 from mavproxy_fault.numerics.earth_kernel import ned_axes
-from simvehicle.gnss.navigation_file import SHIPPED, read_navigation
+from simvehicle.gnss.constellation import SHIPPED, read_navigation
 from simvehicle.gnss.pseudorange import (
     DELAY,
     RANGE,
@@ -25,8 +25,8 @@ from simvehicle.gnss.satellite_orbits import Orbits, select_orbits, tabulate_orb
 TOW_S = 475200.0
 PLACE_M = ecef_from_geodetic(math.radians(35.3), math.radians(139.5), 300.0)
 MOTION = np.array([12.0, -7.0, 3.0])
-NAVIGATION = read_navigation(SHIPPED)
-AIR = Atmosphere(np.array(NAVIGATION.alpha + NAVIGATION.beta), True)
+EPHEMERIDES, KLOBUCHAR = read_navigation(SHIPPED)
+AIR = Atmosphere(np.array(KLOBUCHAR), True)
 OFFSET_S, DRIFT = 2.5e-4, 3e-7
 GALILEO_M = 4.0
 
@@ -39,7 +39,7 @@ def signals_at(
 
 
 def in_view(letters: str = "GE") -> Orbits:
-    every = tabulate_orbits([sets[0] for sets in NAVIGATION.ephemerides.values()], 2149)
+    every = tabulate_orbits([sets[0] for sets in EPHEMERIDES.values()], 2149)
     seen = signals_at(every, TOW_S, PLACE_M, MOTION, AIR)
     pick = [k for k in range(24)
             if seen[SAT_ELEVATION, k] > 0.2 and every.satellites[k][0] in letters]  # fmt: skip

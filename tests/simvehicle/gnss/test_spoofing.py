@@ -5,8 +5,7 @@ import pytest
 
 from mavproxy_fault.numerics.earth import curvature_radii
 from simvehicle.gnss.gnss_config import GnssConfig
-from simvehicle.gnss.gnss_sensor import GnssSensor
-from simvehicle.gnss.gnss_state import GnssState
+from simvehicle.gnss.gnss_sensor import GnssSensor, GnssState
 from simvehicle.gnss.spoofing import spoofed_places
 from simvehicle.sensors.readings import GpsReading, PseudorangeReading
 from tests.simvehicle.gnss.gnss_parts import gnss_sensor

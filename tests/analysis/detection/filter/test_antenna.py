@@ -8,8 +8,9 @@ import pytest
 from analysis.detection import DetectorConfig
 from analysis.detection.filter.filter_state import MotionEstimate
 from analysis.detection.filter.inertial import ERROR_SIZE, X_SIZE, gravity_ecef
-from analysis.detection.filter.propagation import ImuSegment, propagate_filter, shift_by_lever_arm
+from analysis.detection.filter.propagation import predict, shift_by_lever_arm
 from analysis.monitor.pipeline import monitor_config
+from analysis.samples.block import ImuRun
 from mavproxy_fault.documents.errors import ConfigError
 from mavproxy_fault.numerics.constants import GNSS_EARTH_RATE_RPS
 from mavproxy_fault.numerics.rotations.rotation_kernel import rotate_in_reference, rotation_matrix
@@ -33,11 +34,11 @@ def turning_body(at_s: float) -> np.ndarray:
     return x
 
 
-def segment(until_s: float, dt_s: float = 0.005) -> ImuSegment:
+def readings(until_us: int, step_us: int = 5000) -> ImuRun:
     """What the IMU reads: its own turn and the earth's, and what holds it up."""
-    steps = round(until_s / dt_s)
-    row = [dt_s, 0.0, 0.0, RATE_RPS - GNSS_EARTH_RATE_RPS, 0.0, 0.0, -gravity_at_the_pole()]
-    return ImuSegment(np.tile(row, (steps, 1)), dt_s, True)
+    stamps = np.arange(step_us, until_us, step_us)
+    row = [0.0, 0.0, RATE_RPS - GNSS_EARTH_RATE_RPS, 0.0, 0.0, -gravity_at_the_pole()]
+    return ImuRun(stamps, np.tile(row, (len(stamps), 1)))
 
 
 def antenna_at(at_s: float) -> np.ndarray:
@@ -51,10 +52,10 @@ def test_the_antenna_rotates_about_an_imu_at_rest():
     x[:3] = antenna_at(0.0)
     x[3:6] = (antenna_at(1e-4) - antenna_at(-1e-4)) / 2e-4
     start = MotionEstimate(0, x, 1e-4 * np.eye(ERROR_SIZE), True)
-    end, _ = propagate_filter(start, segment(2.0), 2_000_000, config)
+    end = predict(start, readings(2_000_000), 2_000_000, config).motion
     assert end.x[:3] == pytest.approx(antenna_at(2.0), abs=0.01)
     assert end.x[3:6] == pytest.approx((antenna_at(2.0001) - antenna_at(1.9999)) / 2e-4, abs=0.01)
-    straight, _ = propagate_filter(start, segment(2.0), 2_000_000, DetectorConfig())
+    straight = predict(start, readings(2_000_000), 2_000_000, DetectorConfig()).motion
     assert np.linalg.norm(straight.x[:3] - antenna_at(2.0)) > 1.0
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from analysis.detection.filter.filter_config import ProcessNoise
 from analysis.detection.filter.inertial import ERROR_SIZE, X_SIZE, propagate_inertial
-from analysis.detection.filter.process_noise import ProcessNoise
 
 RNG = np.random.default_rng(8)
 START_M = np.array([4.2e6, 6.0e5, 4.7e6])

@@ -2,10 +2,10 @@
 
 from analysis.detection import Detector
 from analysis.detection.filter.information import normal_equations
+from analysis.detection.filter.propagation import predict
 from analysis.detection.isolation.epoch_memory import FrozenOffsets, frozen_offsets_m
 from analysis.detection.isolation.epoch_statistics import parity_test
 from analysis.detection.stages.assess import MOVED_PROBABILITY, assess
-from analysis.detection.stages.predict import predict
 from analysis.detection.statistics.chi_square import chi_square_threshold
 from analysis.samples.sample import Epoch
 
