@@ -273,7 +273,7 @@ def _stopped_falls(record: VehicleRecord, motion: VehicleMotion) -> list[tuple[f
     t_s, sink_mps = motion.t_s, motion.sink_mps
     # Relative to the lowest height of the flight: the log may begin in the air.
     low_m = float(np.percentile(motion.height_m, 2)) + LOW_M
-    found = []
+    found: list[tuple[float, float]] = []
     falls = np.ones(len(t_s), bool)
     if not motion.from_truth:
         sped_up = np.convolve(np.diff(sink_mps, prepend=sink_mps[:1]), np.ones(FALL_STEPS), "full")

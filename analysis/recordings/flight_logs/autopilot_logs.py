@@ -118,7 +118,8 @@ def read_autopilot_log(path: Path, condition: LogCondition) -> Iterator[Block]:
 
 
 def _few_rows(rows: Rows) -> Rows:
-    return rows[:: -(-rows.nbytes // FEW_BYTES) or 1]
+    # A copy: a view would keep all rows in memory.
+    return rows[:: -(-rows.nbytes // FEW_BYTES) or 1].copy()
 
 
 def _topic_blocks(log: AutopilotLog) -> Iterator[Topics]:
