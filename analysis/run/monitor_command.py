@@ -24,6 +24,7 @@ from analysis.recordings.read_recordings import read_log, read_rinex
 from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.judging.flight_signals import judge_requirements
 from analysis.report.recordings.flight_sources import read_flight
+from analysis.report.recordings.thinning import read_contents
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
 from analysis.run.stop_signal import StopCheck, stop_requests
@@ -287,7 +288,6 @@ def _report(
 ) -> None:
     from analysis.report.run_report import write_run_report
     from analysis.results import read_results
-    from mavproxy_fault.wire.tlog import read_columns
 
     results = list(read_results(folder / "results.jsonl"))
     extras: dict[str, Any] = {}
@@ -302,7 +302,9 @@ def _report(
         labels=labels,
         results=results,
         # Autopilot logs have no MAVLink columns.
-        columns=read_columns(args.log) if args.log and not is_autopilot_log(Path(args.log)) else {},
+        columns=read_contents(Path(args.log), lambda _: None).columns
+        if args.log and not is_autopilot_log(Path(args.log))
+        else {},
         title=title,
         **extras,
     )

@@ -41,6 +41,7 @@ REST_MPS, REST_M = 1.0, 2.0  # ArduPilot's land detector: LAND_DETECTOR_VEL_Z_MA
 LOW_M = 4.0  # above the lowest height of a flight: twice REST_M
 IMPACT_MPS2 = 15.0  # beyond gravity: thrust of twice the weight brakes at 9.8
 BLOW_MPS2, BLOW_FACTOR = 60.0, 2.0  # four times IMPACT_MPS2, and twice what was before
+STILL_MPS2 = 2.0  # an MPU-9250 on a bench changed by 1.5 at most (benchmarks/flight_logs.csv)
 BLOW, ENDED_TILTED = "blow", "ended tilted by"
 FALL_MPS2 = 1.5 * STANDARD_GRAVITY_MPS2  # a datum that steps "falls" faster than any vehicle
 FALL_STEPS = 3  # over these many steps
@@ -272,7 +273,7 @@ def _stopped_falls(record: VehicleRecord, motion: VehicleMotion) -> list[tuple[f
     t_s, sink_mps = motion.t_s, motion.sink_mps
     # Relative to the lowest height of the flight: the log may begin in the air.
     low_m = float(np.percentile(motion.height_m, 2)) + LOW_M
-    found = []
+    found: list[tuple[float, float]] = []
     falls = np.ones(len(t_s), bool)
     if not motion.from_truth:
         sped_up = np.convolve(np.diff(sink_mps, prepend=sink_mps[:1]), np.ones(FALL_STEPS), "full")
@@ -282,32 +283,52 @@ def _stopped_falls(record: VehicleRecord, motion: VehicleMotion) -> list[tuple[f
         inside = record.armed is None or any(
             start <= t_s[at] <= end + REST_S for start, end in record.armed
         )
-        if inside and _is_stopped(record, motion, at, low_m):
-            found.append((float(t_s[at]), float(sink_mps[at])))
+        contact_s = _contact(record, motion, at, low_m) if inside else None
+        if contact_s is None:
+            continue
+        if not found or contact_s > found[-1][0] + REST_S:
+            found.append((contact_s, float(sink_mps[at])))
+        elif t_s[at] <= found[-1][0]:  # what follows is the same impact, by an upset estimate
+            found[-1] = found[-1][0], max(found[-1][1], float(sink_mps[at]))
     return [max(found, key=lambda fall: fall[1])] if found else []
 
 
-def _is_stopped(record: VehicleRecord, motion: VehicleMotion, at: int, low_m: float) -> bool:
-    """Whether a fall ends within `STOP_S` at the lowest height, at rest, with an impact."""
+def _contact(record: VehicleRecord, motion: VehicleMotion, at: int, low_m: float) -> float | None:
+    """When a fall ends with an impact: within `STOP_S` at the lowest height, at rest; or, as an
+    impact upsets estimates too, soon lying still. None if it does not."""
     t_s, height_m = motion.t_s, motion.height_m
     stop, rest = np.searchsorted(t_s, (t_s[at] + STOP_S, t_s[at] + REST_S)).tolist()
-    if stop >= len(t_s) or np.abs(motion.sink_mps[at : stop + 1]).min() > REST_MPS:
-        return False
-    lies = np.ptp(height_m[stop : rest + 1]) < REST_M
-    if not (lies and height_m[stop] < low_m):
-        return False
+    if stop >= len(t_s):
+        return None
+    slow = np.abs(motion.sink_mps[at : stop + 1]) <= REST_MPS
+    lies = np.ptp(height_m[stop : rest + 1]) < REST_M and height_m[stop] < low_m
+    stopped_s = float(t_s[at + slow.argmax()]) if slow.any() and lies else None
     if record.force is None:
-        return True
+        return stopped_s
     at_s, force_mps2 = record.force
     near = (at_s >= t_s[at] - BEFORE_S) & (at_s <= t_s[stop] + BEFORE_S)
     # Logged too rarely, the accelerometers do not contradict.
-    beyond_mps2 = np.abs(force_mps2[near] - STANDARD_GRAVITY_MPS2)
-    return bool(near.sum() < 10 or np.nanmax(beyond_mps2) > IMPACT_MPS2)
+    if near.sum() < 10:
+        return stopped_s
+    struck = near & (np.abs(force_mps2 - STANDARD_GRAVITY_MPS2) > IMPACT_MPS2)
+    if not struck.any() or (stopped_s is None and not _lies_still(record.force, t_s[stop])):
+        return None
+    return float(at_s[struck.argmax()])
+
+
+def _lies_still(force: tuple[Vector, Vector], after_s: float) -> bool:
+    """Whether the ground soon carries the vehicle: within `REST_S`, and for half of that, a force
+    that neither changes, as in flight, nor vanishes, as in a fall."""
+    near = (force[0] > after_s) & (force[0] < after_s + 2.0 * REST_S)
+    at_s, felt = force[0][near], force[1][near]
+    begins, ends = np.arange(len(at_s)), np.searchsorted(at_s, at_s + REST_S / 2.0)
+    spans = [felt[i:j] for i, j in zip(begins, ends, strict=True) if j < len(at_s) and j - i >= 10]
+    return any(np.ptp(some) < STILL_MPS2 < some.min() for some in spans)
 
 
 def _find_blow(record: VehicleRecord, motion: VehicleMotion) -> list[VehicleEvent]:
     """The first blow while armed, beyond what this IMU showed before, that ends the flight: the
-    motors are cut or the attitude is lost."""
+    motors are cut, the vehicle lies still, or the attitude is lost."""
     if record.force is None or not record.armed:
         return []
     t_s, force_mps2 = record.force
@@ -320,9 +341,11 @@ def _find_blow(record: VehicleRecord, motion: VehicleMotion) -> list[VehicleEven
             continue
         around = np.abs(motion.t_s - blow_s) < REST_S
         lost = bool(np.any(motion.tilt_deg[around] > LOST_TILT_DEG))
-        cut = ends[0] - blow_s < REST_S and not _touches_down(motion, blow_s)
-        if lost or cut:
-            what = "with the attitude lost" if lost else "then the motors were cut"
+        cut = ends[0] - blow_s < REST_S
+        ended = cut or _lies_still(record.force, blow_s)
+        if lost or (ended and not _touches_down(motion, blow_s)):
+            ends_how = "then the motors were cut" if cut else "then at rest"
+            what = "with the attitude lost" if lost else ends_how
             text = f"{BLOW} of {beyond[at]:.0f} m/s², {what}"
             return [VehicleEvent(round(blow_s, 3), CRASHED, text)]
     return []

@@ -4,9 +4,9 @@ Detectors use the first sensor of each kind; redundant IMUs, magnetometers, baro
 are read for voting. The autopilot's attitude estimate is read too.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,13 +19,17 @@ from analysis.recordings.flight_logs.log_condition import (
     dataflash_losses,
     ulog_losses,
 )
+from analysis.recordings.flight_logs.log_time import FARTHEST_BEHIND_US
+from analysis.recordings.flight_logs.logged_rows import BLOCK_BYTES, Rows, Thin, Topic, join_rows
 from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
+from analysis.results import FOREVER_US
 from analysis.samples import block
 from analysis.samples.block import (
     FIX,
     FIX_TYPE,
     IMU,
     IMU_ID,
+    NEVER_US,
     SPARE,
     SPARE_ID,
     SPARE_KIND,
@@ -36,12 +40,15 @@ from analysis.samples.block import (
     join_parts,
 )
 from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.wire.written import written_bytes
 
-Rows = NDArray[np.void]
-Topic = Mapping[str, NDArray[Any]]
 Topics = Mapping[tuple[str, int], Topic]
 FIX_3D = 3
 INSTANCES = 3
+MOST_SAMPLES = 1 << 15  # in a block: their results need more memory than they
+FEW_BYTES = (
+    16_384  # of a message in a block; GPS and the like have fewer, so all of theirs are kept
+)
 # Fields by which an ArduPilot driver reports that its measurement is new and healthy
 HEALTH = {"IMU": ("GH", "AH"), "MAG": ("Health",), "BARO": ("H", "Health")}
 VOTERS = ("IMU", "MAG", "BARO", "FIX")  # kinds of which redundant sensors are read
@@ -69,47 +76,145 @@ def is_autopilot_log(path: Path) -> bool:
 def read_topics(
     path: Path,
     only: Collection[str] | None = None,
-    thin: Callable[[Rows], Rows] = lambda rows: rows,
+    thin: Thin | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> AutopilotLog:
-    """Read a ULog or a dataflash log (`read_ulog`, `read_dataflash`)."""
+    """Read a ULog or a dataflash log (`read_ulog`, `read_dataflash`).
+
+    `thin` chooses the rows (k,) to keep of those (n,) of one message in a block.
+    """
     with path.open("rb") as file:
         ulog = is_ulog(file.read(HEAD))
     return read_ulog(path, progress, thin) if ulog else read_dataflash(path, only, thin)
 
 
-def read_autopilot_log(path: Path, condition: LogCondition | None = None) -> Block:
-    """Read the samples of a ULog or a dataflash log in order of time; notes lost parts in
-    `condition`.
+def read_autopilot_log(path: Path, condition: LogCondition) -> Iterator[Block]:
+    """Read the samples of a ULog or a dataflash log in order of time, block by block; notes lost
+    parts in `condition`.
 
     Raises
     ------
     ConfigError
         If the log lacks IMU or GPS samples; the tests need both.
     """
-    log = read_topics(path, READ)
-    if condition is not None:
-        # An incomplete last message is normal: loggers are usually switched off while writing.
-        condition.damage += [CORRUPTED] if log.corrupted else []
-        condition.lost_us += ulog_losses(log.dropouts) + dataflash_losses(log.topics)
+    # Few rows of a large log show its clock and what it holds.
+    log = read_topics(path, READ, _few_rows if written_bytes(path) > BLOCK_BYTES else None)
+    condition.lost_us += ulog_losses(log.dropouts) + dataflash_losses(log.topics)
     px4 = log.autopilot == "px4"
-    topics = log.topics if px4 else _with_accuracy(log.topics)
-    found = list(_parts(topics, ULOG_SAMPLES if px4 else DATAFLASH_SAMPLES, log.stamp))
-    kinds = {kind for kind, _, _ in found}
+    streams = list(_streams(log.topics, ULOG_SAMPLES if px4 else DATAFLASH_SAMPLES, log.stamp))
+    kinds = {stream.kind for stream in streams}
     missing = [name for kind, name in ((IMU, "IMU"), (FIX, "GPS")) if kind not in kinds]
     if missing:
         raise ConfigError(
             f"{path}: holds no samples of {' and '.join(missing)}; the monitor needs a log in "
             "which both are logged"
         )
-    stamps = np.concatenate([t_us for _, t_us, _ in found])
+    for topics in _topic_blocks(log):
+        samples = _block(streams, topics if px4 else _with_accuracy(topics), log.stamp)
+        for begin in range(0, len(samples.kind), MOST_SAMPLES):
+            yield samples.between(begin, min(begin + MOST_SAMPLES, len(samples.kind)))
+    # An incomplete last message is normal: loggers are usually switched off while writing.
+    condition.damage += [CORRUPTED] if log.corrupted or log.times.misdated else []
+
+
+def _few_rows(rows: Rows) -> Rows:
+    # A copy: a view would keep all rows in memory.
+    return rows[:: -(-rows.nbytes // FEW_BYTES) or 1].copy()
+
+
+def _topic_blocks(log: AutopilotLog) -> Iterator[Topics]:
+    """The topics of a log in order of time, block by block; in one block if they are complete."""
+    if not log.thinned:
+        yield log.topics
+        return
+    rest: dict[tuple[str, int], Topic] = {}
+    begin_us = until_us = NEVER_US
+    for rows in log.rows.blocks():
+        for key, some in join_rows([rows]).items():
+            t_us, keep = log.times.place(key, log.rows.stamps(key, some))
+            for name, topic in log.rows.topics(key, some[keep], t_us[keep]):
+                before = rest.get(name, topic)
+                if before.keys() == topic.keys() and name in rest:
+                    topic = {c: np.concatenate([before[c], topic[c]]) for c in topic}
+                rest[name] = topic
+            if key in log.times.even and keep.any():
+                until_us = max(until_us, int(t_us[keep].max()) - FARTHEST_BEHIND_US)
+        yield _between(rest, log.stamp, begin_us, until_us)
+        rest, begin_us = _between(rest, log.stamp, until_us, FOREVER_US), until_us
+    yield rest
+
+
+def _between(
+    topics: Topics, stamp: str, begin_us: int, end_us: int
+) -> dict[tuple[str, int], Topic]:
+    """The rows of topics from `begin_us` to before `end_us`."""
+    found = {}
+    for name, topic in topics.items():
+        keep = (topic[stamp] >= begin_us) & (topic[stamp] < end_us)
+        if keep.any():
+            found[name] = {column: values[keep] for column, values in topic.items()}
+    return found
+
+
+class SampleStream(NamedTuple):
+    """The samples of one topic from `begin_us` on."""
+
+    line: MapLine
+    number: int  # of the sensor
+    begin_us: int
+
+    @property
+    def kind(self) -> int:
+        """Kind of the samples."""
+        kind: int = getattr(block, self.line.target)
+        return SPARE if self.number and kind != IMU else kind
+
+    def rows(
+        self, topics: Topics, stamp: str
+    ) -> tuple[int, NDArray[np.int64], NDArray[np.float64]] | None:
+        """Kind, timestamps and values (n, k) in a block; None without any."""
+        topic = topics.get((self.line.message, self.number))
+        if topic is None or not len((topic := _healthy(topic, self.line.target))[stamp]):
+            return None
+        values = rows_of(self.line, topic, NO_ACCURACY)
+        if values is None:
+            return None
+        t_us = topic[stamp].astype(np.int64)
+        if self.kind == SPARE:
+            return SPARE, *_spare(getattr(block, self.line.target), self.number, t_us, values)
+        if self.kind == IMU:
+            values[:, IMU_ID] = self.number
+        begun = t_us >= self.begin_us
+        return self.kind, t_us[begun], values[begun, :WIDTH]
+
+
+def _streams(topics: Topics, lines: Iterable[MapLine], stamp: str) -> Iterator[SampleStream]:
+    """The topics with samples; of each kind those of the first message that has any."""
+    done: set[str] = set()
+    for line in lines:
+        if line.target in done:
+            continue
+        for number in range(INSTANCES if line.target in VOTERS else 1):
+            first = topics.get((line.message, 0), topics.get((line.message, number)))
+            # Detectors use the IMU of the first sample; start with instance 0.
+            stream = SampleStream(line, number, 0 if first is None else int(first[stamp][0]))
+            # Another version of the autopilot has other fields; a later line may match it.
+            if stream.rows(topics, stamp) is not None:
+                yield stream
+                done |= set() if stream.kind == SPARE else {line.target}
+
+
+def _block(streams: Iterable[SampleStream], topics: Topics, stamp: str) -> Block:
+    """The samples of a block of topics."""
+    found = [rows for stream in streams if (rows := stream.rows(topics, stamp)) is not None]
     # One order over all topics; at equal timestamps in the order of the table.
+    stamps = np.concatenate([np.empty(0, np.int64), *(t_us for _, t_us, _ in found)])
     rank = np.empty(len(stamps), np.int64)
     rank[np.argsort(stamps, kind="stable")] = np.arange(len(stamps))
-    ends = np.cumsum([len(t_us) for _, t_us, _ in found])
+    ends = np.cumsum([len(t_us) for _, t_us, _ in found], dtype=int)
     orders = np.split(rank, ends[:-1])
     return join_parts(
-        [BlockPart(k, o, t, v) for (k, t, v), o in zip(found, orders, strict=True)], ()
+        [BlockPart(k, o, t, v) for (k, t, v), o in zip(found, orders, strict=False)], ()
     )
 
 
@@ -124,33 +229,6 @@ def _with_accuracy(topics: Topics) -> Topics:
         newest = np.maximum(np.searchsorted(said["TimeUS"], fixes["TimeUS"], "right") - 1, 0)
         found["GPS", number] = {**fixes, **{name: said[name][newest] for name in ("HAcc", "VAcc")}}
     return found
-
-
-def _parts(
-    topics: Topics, lines: Iterable[MapLine], stamp: str
-) -> Iterable[tuple[int, NDArray[np.int64], NDArray[np.float64]]]:
-    """Kind, timestamps and values of the logged topics; the first topic of a kind is used."""
-    done: set[str] = set()
-    for line in lines:
-        if line.target in done:
-            continue
-        for number in range(INSTANCES if line.target in VOTERS else 1):
-            topic = topics.get((line.message, number))
-            if topic is None or not len((topic := _healthy(topic, line.target))[stamp]):
-                continue
-            values = rows_of(line, topic, NO_ACCURACY)
-            if values is None:  # another version of the autopilot; a later line may match it
-                continue
-            t_us = topic[stamp].astype(np.int64)
-            if line.target == "IMU":
-                values[:, IMU_ID] = number
-            elif number:
-                yield SPARE, *_spare(getattr(block, line.target), number, t_us, values)
-                continue
-            done.add(line.target)
-            # Detectors use the IMU of the first sample; start with instance 0.
-            spoken = t_us >= int(topics.get((line.message, 0), topic)[stamp][0])
-            yield getattr(block, line.target), t_us[spoken], values[spoken, :WIDTH]
 
 
 def _healthy(topic: Topic, kind: str) -> Topic:

@@ -23,8 +23,8 @@ from analysis.recordings.flight_logs.dataflash_formats import (
     assign_types,
     find_formats,
 )
+from analysis.recordings.flight_logs.logged_rows import BLOCK_BYTES
 
-BLOCK_BYTES = 1 << 25  # read at once, to limit memory
 LONGEST = 255 + HEAD  # more than a message has: its length is one byte
 Places = NDArray[np.int64]
 

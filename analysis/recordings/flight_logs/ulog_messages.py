@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from analysis.recordings.flight_logs.logged_rows import BLOCK_BYTES, BlockRows, Rows
+
 MAGIC = b"ULog\x01\x12\x35"
 HEADER_BYTES, HEAD = 16, 3  # of the file, and of a message
-BLOCK_BYTES = 1 << 25  # read at once, to limit memory
 LONGEST = HEAD + 0xFFFF
 KINDS = frozenset(b"ABCDFILMOPQRS")
 NUMBERS = {
@@ -41,18 +42,15 @@ SOUND = {
 }  # fmt: skip
 APPENDED, OFFSETS = 1, struct.Struct("<3Q")  # bit of the flags, and where data were appended
 
-Rows = NDArray[np.void]
-
 
 @dataclass(slots=True)
 class ULogTopic:
-    """A topic with its rows in blocks, of which the shortest have `least` bytes."""
+    """A topic, whose shortest rows have `least` bytes."""
 
     name: str
     instance: int
     dtype: np.dtype[np.void]
     least: int
-    rows: list[Rows] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -71,29 +69,28 @@ class ULogMessages:
     cut: bool = False  # whether the file ends within a message
 
 
-def read_messages(
-    path: Path, size: int, thin: Callable[[Rows], Rows], progress: Callable[[float], None]
-) -> ULogMessages:
-    """Read the messages in the first `size` bytes of a log; `thin` chooses rows of each block."""
-    found = ULogMessages()
+def walk_messages(
+    path: Path, size: int, found: ULogMessages, progress: Callable[[float], None]
+) -> Iterator[BlockRows]:
+    """Collect the messages in the first `size` bytes of a log; yields the topics' rows of each
+    block by name and instance."""
     with path.open("rb") as file:
         found.begin_us = int.from_bytes(file.read(HEADER_BYTES)[8:], "little")
         data, at = b"", HEADER_BYTES
         while at + len(data) < size:
             data += file.read(min(BLOCK_BYTES, size - at - len(data)))
             last = at + len(data) >= size
-            end = _read_block(found, data, at, last, thin)
+            end, rows = _read_block(found, data, at, last)
+            yield rows
             data, at = data[end:], at + end
             progress(min((at + len(data)) / size, 1.0))
             if last:
                 break
-    return found
 
 
-def _read_block(
-    found: ULogMessages, data: bytes, at: int, last: bool, thin: Callable[[Rows], Rows]
-) -> int:
-    """Read the messages in a block that begins at `at` in the file; returns where they end."""
+def _read_block(found: ULogMessages, data: bytes, at: int, last: bool) -> tuple[int, BlockRows]:
+    """Read the messages in a block that begins at `at` in the file; returns where they end, and
+    rows."""
     places: dict[int, list[int]] = {}
     begin, stop = 0, len(data) if last else len(data) - 2 * LONGEST
     while begin < stop:
@@ -110,11 +107,11 @@ def _read_block(
         else:
             _define(found, at + begin, chr(data[begin + 2]), data[begin + HEAD : end])
         begin = end
-    for number, starts in places.items():
-        if number in found.topics:
-            topic = found.topics[number]
-            topic.rows.append(thin(_rows(data, at, np.array(starts, np.int64), topic)))
-    return begin
+    topics = [(found.topics[n], starts) for n, starts in places.items() if n in found.topics]
+    return begin, [
+        ((topic.name, topic.instance), _rows(data, at, np.array(starts, np.int64), topic))
+        for topic, starts in topics
+    ]
 
 
 def _end_of(found: ULogMessages, data: bytes, begin: int) -> int:

@@ -6,15 +6,15 @@ kept, and those with the minimum and maximum of each field, so that no peak is l
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.flight_logs.dataflash_blocks import BLOCK_BYTES
 from analysis.recordings.flight_logs.log_stamps import StampState, steady_stamps
+from analysis.recordings.flight_logs.logged_rows import BLOCK_BYTES, Rows, Thin
 from analysis.report.recordings.link_quality import LastFrame, sum_stretches
 from analysis.report.recordings.reading_bar import ReportProgress
 from mavproxy_fault.wire import tlog
@@ -28,8 +28,6 @@ SENDING = ("t_us", "system", "component", "seq", "at", "TimeUS", "timestamp")
 LONGEST_VECTOR = 4  # longest array fields whose elements are searched for extremes
 HEAD = 11  # bytes of a row with its time and sender
 OFFSET_AND_TIME = 16  # bytes of a row of another log
-
-Rows = NDArray[np.void]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,10 +91,11 @@ def read_contents(path: Path, progress: ReportProgress) -> TlogContents:
     )
 
 
-def block_thinning(size: int) -> Callable[[Rows], Rows]:
-    """Thins the rows of a message in one block of a ULog or dataflash log of `size` bytes."""
+def block_thinning(size: int) -> Thin | None:
+    """Thins the rows of a message in one block of a ULog or dataflash log of `size` bytes, if it is
+    large."""
     if size <= WHOLE_BYTES:
-        return lambda rows: rows
+        return None
     budget = max(60, ROWS * BLOCK_BYTES // size)
     return lambda rows: thin_rows(rows, budget, OFFSET_AND_TIME)
 
