@@ -34,6 +34,7 @@ from analysis.samples.block import Block
 from analysis.samples.link_buffer import LinkBuffer
 from analysis.scoring.criteria import Criteria, CriterionCheck, receiver_criteria
 from analysis.scoring.integrity import Integrity
+from analysis.scoring.position_scores import PositionScores
 from analysis.scoring.requirements import Requirement, read_requirements
 from analysis.work_progress import WorkProgress
 from mavproxy_fault.app.command_result import print_result
@@ -112,7 +113,7 @@ def main(args: argparse.Namespace) -> int:
         write_summary(folder, summary)
         if injected is not None:
             write_private(folder / "labels.jsonl", encode_lines(injected))
-        _report(args, folder, labels or [], summary, reference, integrity)
+        _report(args, folder, labels or [], summary, (reference, integrity, monitor.positions))
     return show_summary(args, summary, folder)
 
 
@@ -283,8 +284,7 @@ def _report(
     folder: Path,
     labels: Sequence[Label],
     summary: dict[str, object],
-    reference: PositionReference | None,
-    integrity: Integrity,
+    accuracy: tuple[PositionReference | None, Integrity, PositionScores],
 ) -> None:
     from analysis.report.run_report import write_run_report
     from analysis.results import read_results
@@ -294,7 +294,7 @@ def _report(
     if args.rinex:
         from analysis.report.receiver_files import receiver_files
 
-        extras = receiver_files(folder, results, labels, reference, integrity)
+        extras = receiver_files(folder, results, labels, *accuracy)
     title = Path(args.log or args.rinex[0]).name if args.log or args.rinex else folder.name
     write_run_report(
         folder,

@@ -41,7 +41,6 @@ REST_MPS, REST_M = 1.0, 2.0  # ArduPilot's land detector: LAND_DETECTOR_VEL_Z_MA
 LOW_M = 4.0  # above the lowest height of a flight: twice REST_M
 IMPACT_MPS2 = 15.0  # beyond gravity: thrust of twice the weight brakes at 9.8
 BLOW_MPS2, BLOW_FACTOR = 60.0, 2.0  # four times IMPACT_MPS2, and twice what was before
-STILL_MPS2 = 2.0  # an MPU-9250 on a bench changed by 1.5 at most (benchmarks/flight_logs.csv)
 BLOW, ENDED_TILTED = "blow", "ended tilted by"
 FALL_MPS2 = 1.5 * STANDARD_GRAVITY_MPS2  # a datum that steps "falls" faster than any vehicle
 FALL_STEPS = 3  # over these many steps
@@ -124,6 +123,11 @@ class VehicleRecord(NamedTuple):
     steered: Sequence[tuple[float, float]] = ()
     lowered: Sequence[tuple[float, float]] = ()
     flies: bool = True
+
+    def mode_spans(self) -> list[tuple[str, float, float]]:
+        """Each mode with its begin and end [s]; the last one has no end."""
+        ends_s = [*(mode.t_s for mode in self.modes[1:]), np.inf]
+        return [(mode.text, mode.t_s, end) for mode, end in zip(self.modes, ends_s, strict=False)]
 
 
 class VehicleEvent(msgspec.Struct, frozen=True):
@@ -273,7 +277,7 @@ def _stopped_falls(record: VehicleRecord, motion: VehicleMotion) -> list[tuple[f
     t_s, sink_mps = motion.t_s, motion.sink_mps
     # Relative to the lowest height of the flight: the log may begin in the air.
     low_m = float(np.percentile(motion.height_m, 2)) + LOW_M
-    found: list[tuple[float, float]] = []
+    found = []
     falls = np.ones(len(t_s), bool)
     if not motion.from_truth:
         sped_up = np.convolve(np.diff(sink_mps, prepend=sink_mps[:1]), np.ones(FALL_STEPS), "full")
@@ -283,52 +287,32 @@ def _stopped_falls(record: VehicleRecord, motion: VehicleMotion) -> list[tuple[f
         inside = record.armed is None or any(
             start <= t_s[at] <= end + REST_S for start, end in record.armed
         )
-        contact_s = _contact(record, motion, at, low_m) if inside else None
-        if contact_s is None:
-            continue
-        if not found or contact_s > found[-1][0] + REST_S:
-            found.append((contact_s, float(sink_mps[at])))
-        elif t_s[at] <= found[-1][0]:  # what follows is the same impact, by an upset estimate
-            found[-1] = found[-1][0], max(found[-1][1], float(sink_mps[at]))
+        if inside and _is_stopped(record, motion, at, low_m):
+            found.append((float(t_s[at]), float(sink_mps[at])))
     return [max(found, key=lambda fall: fall[1])] if found else []
 
 
-def _contact(record: VehicleRecord, motion: VehicleMotion, at: int, low_m: float) -> float | None:
-    """When a fall ends with an impact: within `STOP_S` at the lowest height, at rest; or, as an
-    impact upsets estimates too, soon lying still. None if it does not."""
+def _is_stopped(record: VehicleRecord, motion: VehicleMotion, at: int, low_m: float) -> bool:
+    """Whether a fall ends within `STOP_S` at the lowest height, at rest, with an impact."""
     t_s, height_m = motion.t_s, motion.height_m
     stop, rest = np.searchsorted(t_s, (t_s[at] + STOP_S, t_s[at] + REST_S)).tolist()
-    if stop >= len(t_s):
-        return None
-    slow = np.abs(motion.sink_mps[at : stop + 1]) <= REST_MPS
-    lies = np.ptp(height_m[stop : rest + 1]) < REST_M and height_m[stop] < low_m
-    stopped_s = float(t_s[at + slow.argmax()]) if slow.any() and lies else None
+    if stop >= len(t_s) or np.abs(motion.sink_mps[at : stop + 1]).min() > REST_MPS:
+        return False
+    lies = np.ptp(height_m[stop : rest + 1]) < REST_M
+    if not (lies and height_m[stop] < low_m):
+        return False
     if record.force is None:
-        return stopped_s
+        return True
     at_s, force_mps2 = record.force
     near = (at_s >= t_s[at] - BEFORE_S) & (at_s <= t_s[stop] + BEFORE_S)
     # Logged too rarely, the accelerometers do not contradict.
-    if near.sum() < 10:
-        return stopped_s
-    struck = near & (np.abs(force_mps2 - STANDARD_GRAVITY_MPS2) > IMPACT_MPS2)
-    if not struck.any() or (stopped_s is None and not _lies_still(record.force, t_s[stop])):
-        return None
-    return float(at_s[struck.argmax()])
-
-
-def _lies_still(force: tuple[Vector, Vector], after_s: float) -> bool:
-    """Whether the ground soon carries the vehicle: within `REST_S`, and for half of that, a force
-    that neither changes, as in flight, nor vanishes, as in a fall."""
-    near = (force[0] > after_s) & (force[0] < after_s + 2.0 * REST_S)
-    at_s, felt = force[0][near], force[1][near]
-    begins, ends = np.arange(len(at_s)), np.searchsorted(at_s, at_s + REST_S / 2.0)
-    spans = [felt[i:j] for i, j in zip(begins, ends, strict=True) if j < len(at_s) and j - i >= 10]
-    return any(np.ptp(some) < STILL_MPS2 < some.min() for some in spans)
+    beyond_mps2 = np.abs(force_mps2[near] - STANDARD_GRAVITY_MPS2)
+    return bool(near.sum() < 10 or np.nanmax(beyond_mps2) > IMPACT_MPS2)
 
 
 def _find_blow(record: VehicleRecord, motion: VehicleMotion) -> list[VehicleEvent]:
     """The first blow while armed, beyond what this IMU showed before, that ends the flight: the
-    motors are cut, the vehicle lies still, or the attitude is lost."""
+    motors are cut or the attitude is lost."""
     if record.force is None or not record.armed:
         return []
     t_s, force_mps2 = record.force
@@ -341,11 +325,9 @@ def _find_blow(record: VehicleRecord, motion: VehicleMotion) -> list[VehicleEven
             continue
         around = np.abs(motion.t_s - blow_s) < REST_S
         lost = bool(np.any(motion.tilt_deg[around] > LOST_TILT_DEG))
-        cut = ends[0] - blow_s < REST_S
-        ended = cut or _lies_still(record.force, blow_s)
-        if lost or (ended and not _touches_down(motion, blow_s)):
-            ends_how = "then the motors were cut" if cut else "then at rest"
-            what = "with the attitude lost" if lost else ends_how
+        cut = ends[0] - blow_s < REST_S and not _touches_down(motion, blow_s)
+        if lost or cut:
+            what = "with the attitude lost" if lost else "then the motors were cut"
             text = f"{BLOW} of {beyond[at]:.0f} m/s², {what}"
             return [VehicleEvent(round(blow_s, 3), CRASHED, text)]
     return []
@@ -419,7 +401,7 @@ def find_failsafes(
     said = [text for text in record.texts if FAILSAFE_TEXT.search(text.text)]
     found = []
     for previous, mode in zip(record.modes, record.modes[1:], strict=False):
-        if not _is_inside(mode.t_s, acting) or mode.text == previous.text:
+        if not is_within(mode.t_s, acting) or mode.text == previous.text:
             continue
         if _is_near(mode.t_s, record.commands or (), -COMMAND_S, 0.1):
             continue
@@ -434,15 +416,16 @@ def find_failsafes(
             found.append(VehicleEvent(round(mode.t_s, 3), FAILSAFE, f"{mode.text}: {words}"))
     marked = [TimedText(event.t_s, event.text) for event in found]
     for text in (*said, *record.expelled):
-        if _is_inside(text.t_s, acting) and not _is_near(text.t_s, marked, -60.0, REASON_S):
+        if is_within(text.t_s, acting) and not _is_near(text.t_s, marked, -60.0, REASON_S):
             mode_name = mode_at(record, text.t_s) or "no change of mode"
             found.append(VehicleEvent(round(text.t_s, 3), FAILSAFE, f"{mode_name}: {text.text}"))
             marked.append(text)
     return sorted(found, key=lambda event: event.t_s)
 
 
-def _is_inside(t_s: float, windows: Sequence[tuple[float, float]]) -> bool:
-    return any(start_s <= t_s <= end_s for start_s, end_s in windows)
+def is_within(t_s: float, windows: Sequence[tuple[float, float]] | None) -> bool:
+    """Whether an instant is within any of the windows (None: always)."""
+    return windows is None or any(start_s <= t_s <= end_s for start_s, end_s in windows)
 
 
 def _is_near(t_s: float, marks: Sequence[TimedText], from_s: float, to_s: float) -> bool:
@@ -455,13 +438,9 @@ def _find_departure(
     """Return how far [m] and when [s] the vehicle left the place that its mode holds, and when it
     flew away from there or from where it believes to be."""
     farthest_m, left_s, events = 0.0, flown[1], []
-    ends_s = [*(mode.t_s for mode in record.modes[1:]), float("inf")]
-    spans = [
-        (max(mode.t_s, flown[0]), min(end_s, flown[1]))
-        for mode, end_s in zip(record.modes, ends_s, strict=False)  # a log may have no modes
-        if record.hovers and mode.text in HOLD_MODES
-    ]
-    for start_s, end_s in spans:
+    held = [span for span in record.mode_spans() if record.hovers and span[0] in HOLD_MODES]
+    for _, begin_s, end_s in held:
+        start_s, end_s = max(begin_s, flown[0]), min(end_s, flown[1])
         inside = (motion.t_s >= start_s) & (motion.t_s <= end_s) & np.isfinite(motion.north_m)
         if not inside.any():
             continue
@@ -544,7 +523,7 @@ def _find_touchdown(
         command.text in LANDING_MODES or command.text == "mission" for command in record.commands
     )
     mode = mode_at(record, t_s)
-    piloted = mode in PILOT_MODES and _is_inside(t_s, record.lowered)
+    piloted = mode in PILOT_MODES and is_within(t_s, record.lowered)
     # Autonomous landings at the end of a mission are what the mission commands.
     asked = commanded or piloted or mode in ("AUTO", "MISSION") or explained
     touchdown = VehicleEvent(t_s, "touchdown")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from analysis.recordings.flight_logs.log_time import RowTimes
-from analysis.recordings.flight_logs.logged_rows import LoggedRows, Topic
+from analysis.recordings.flight_logs.logged_rows import Topic
 
 LoggedTexts = list[tuple[int, int, str]]  # t_us, severity as in MAVLink, text
 CORRUPTED = "parts of the file are corrupted and were skipped"
@@ -16,7 +16,7 @@ class AutopilotLog:
     """Contents of a ULog or a dataflash log; what follows `cut` only a ULog has beside topics."""
 
     autopilot: str  # "px4" or "ardupilot"
-    rows: LoggedRows
+    rows: Any  # as logged, block by block: `DataflashRows` or `ULogRows`
     thinned: bool  # whether the topics lack rows
     # Columns by message name and instance (from 0), with the time in us as `stamp`.
     topics: Mapping[tuple[str, int], Topic]

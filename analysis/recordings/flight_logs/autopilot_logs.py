@@ -4,9 +4,9 @@ Detectors use the first sensor of each kind; redundant IMUs, magnetometers, baro
 are read for voting. The autopilot's attitude estimate is read too.
 """
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,15 +14,17 @@ from numpy.typing import NDArray
 from analysis.field_maps.field_map import DATAFLASH, ULOG, MapLine, rows_of
 from analysis.recordings.flight_logs.autopilot_log import CORRUPTED, AutopilotLog
 from analysis.recordings.flight_logs.dataflash import HEAD, is_dataflash, read_dataflash
-from analysis.recordings.flight_logs.log_condition import (
-    LogCondition,
-    dataflash_losses,
-    ulog_losses,
-)
+from analysis.recordings.flight_logs.log_condition import LogCondition, dataflash_losses
 from analysis.recordings.flight_logs.log_time import FARTHEST_BEHIND_US
-from analysis.recordings.flight_logs.logged_rows import BLOCK_BYTES, Rows, Thin, Topic, join_rows
+from analysis.recordings.flight_logs.logged_rows import (
+    BLOCK_BYTES,
+    BlockRows,
+    Rows,
+    Thin,
+    Topic,
+    join_rows,
+)
 from analysis.recordings.flight_logs.ulog import is_ulog, read_ulog
-from analysis.results import FOREVER_US
 from analysis.samples import block
 from analysis.samples.block import (
     FIX,
@@ -37,6 +39,7 @@ from analysis.samples.block import (
     WIDTH,
     Block,
     BlockPart,
+    Stamps,
     join_parts,
 )
 from mavproxy_fault.documents.errors import ConfigError
@@ -46,9 +49,7 @@ Topics = Mapping[tuple[str, int], Topic]
 FIX_3D = 3
 INSTANCES = 3
 MOST_SAMPLES = 1 << 15  # in a block: their results need more memory than they
-FEW_BYTES = (
-    16_384  # of a message in a block; GPS and the like have fewer, so all of theirs are kept
-)
+FEW_BYTES = 16_384  # of a message in a block: all rows of GPS and the like are fewer
 # Fields by which an ArduPilot driver reports that its measurement is new and healthy
 HEALTH = {"IMU": ("GH", "AH"), "MAG": ("Health",), "BARO": ("H", "Health")}
 VOTERS = ("IMU", "MAG", "BARO", "FIX")  # kinds of which redundant sensors are read
@@ -99,10 +100,14 @@ def read_autopilot_log(path: Path, condition: LogCondition) -> Iterator[Block]:
     """
     # Few rows of a large log show its clock and what it holds.
     log = read_topics(path, READ, _few_rows if written_bytes(path) > BLOCK_BYTES else None)
-    condition.lost_us += ulog_losses(log.dropouts) + dataflash_losses(log.topics)
+    # A dropout is stamped with the record before it.
+    condition.lost_us += [(t_us, t_us + round(lost_s * 1e6)) for t_us, lost_s in log.dropouts]
+    condition.lost_us += dataflash_losses(log.topics)
     px4 = log.autopilot == "px4"
-    streams = list(_streams(log.topics, ULOG_SAMPLES if px4 else DATAFLASH_SAMPLES, log.stamp))
-    kinds = {stream.kind for stream in streams}
+    begins_us = {name: int(topic[log.stamp][0]) for (name, n), topic in log.topics.items() if not n}
+    lines = ULOG_SAMPLES if px4 else DATAFLASH_SAMPLES
+    found = list(_samples(log.topics, lines, log.stamp, begins_us))
+    used, kinds = dict.fromkeys(line for line, *_ in found), {kind for _, kind, *_ in found}
     missing = [name for kind, name in ((IMU, "IMU"), (FIX, "GPS")) if kind not in kinds]
     if missing:
         raise ConfigError(
@@ -110,7 +115,8 @@ def read_autopilot_log(path: Path, condition: LogCondition) -> Iterator[Block]:
             "which both are logged"
         )
     for topics in _topic_blocks(log):
-        samples = _block(streams, topics if px4 else _with_accuracy(topics), log.stamp)
+        known = topics if px4 else _with_accuracy(topics)
+        samples = _block(list(_samples(known, used, log.stamp, begins_us)))
         for begin in range(0, len(samples.kind), MOST_SAMPLES):
             yield samples.between(begin, min(begin + MOST_SAMPLES, len(samples.kind)))
     # An incomplete last message is normal: loggers are usually switched off while writing.
@@ -127,94 +133,68 @@ def _topic_blocks(log: AutopilotLog) -> Iterator[Topics]:
     if not log.thinned:
         yield log.topics
         return
-    rest: dict[tuple[str, int], Topic] = {}
-    begin_us = until_us = NEVER_US
+    rest: BlockRows = []
+    until_us = NEVER_US
     for rows in log.rows.blocks():
+        begin_us, placed = until_us, []
         for key, some in join_rows([rows]).items():
             t_us, keep = log.times.place(key, log.rows.stamps(key, some))
-            for name, topic in log.rows.topics(key, some[keep], t_us[keep]):
-                before = rest.get(name, topic)
-                if before.keys() == topic.keys() and name in rest:
-                    topic = {c: np.concatenate([before[c], topic[c]]) for c in topic}
-                rest[name] = topic
             if key in log.times.even and keep.any():
                 until_us = max(until_us, int(t_us[keep].max()) - FARTHEST_BEHIND_US)
-        yield _between(rest, log.stamp, begin_us, until_us)
-        rest, begin_us = _between(rest, log.stamp, until_us, FOREVER_US), until_us
-    yield rest
+            # From here on the time of a row counts, no longer its place in the file.
+            some["at"] = t_us
+            placed.append((key, some[keep & (t_us >= begin_us)]))
+        every = join_rows([rest, placed])
+        yield _columns(log, ((key, some[some["at"] < until_us]) for key, some in every.items()))
+        rest = [(key, some[some["at"] >= until_us]) for key, some in every.items()]
+    yield _columns(log, rest)
 
 
-def _between(
-    topics: Topics, stamp: str, begin_us: int, end_us: int
-) -> dict[tuple[str, int], Topic]:
-    """The rows of topics from `begin_us` to before `end_us`."""
-    found = {}
-    for name, topic in topics.items():
-        keep = (topic[stamp] >= begin_us) & (topic[stamp] < end_us)
-        if keep.any():
-            found[name] = {column: values[keep] for column, values in topic.items()}
-    return found
+def _columns(log: AutopilotLog, rows: Iterable[tuple[Any, Rows]]) -> dict[tuple[str, int], Topic]:
+    """The topics of rows whose times stand for their places."""
+    topics = (log.rows.topics(key, some, some["at"]) for key, some in rows if len(some))
+    return {name: topic for several in topics for name, topic in several}
 
 
-class SampleStream(NamedTuple):
-    """The samples of one topic from `begin_us` on."""
+def _samples(
+    topics: Topics, lines: Iterable[MapLine], stamp: str, begins_us: Mapping[str, int]
+) -> Iterator[tuple[MapLine, int, Stamps, NDArray[np.float64]]]:
+    """Line, kind, timestamps and values of topics; of each kind the first message that has any.
 
-    line: MapLine
-    number: int  # of the sensor
-    begin_us: int
-
-    @property
-    def kind(self) -> int:
-        """Kind of the samples."""
-        kind: int = getattr(block, self.line.target)
-        return SPARE if self.number and kind != IMU else kind
-
-    def rows(
-        self, topics: Topics, stamp: str
-    ) -> tuple[int, NDArray[np.int64], NDArray[np.float64]] | None:
-        """Kind, timestamps and values (n, k) in a block; None without any."""
-        topic = topics.get((self.line.message, self.number))
-        if topic is None or not len((topic := _healthy(topic, self.line.target))[stamp]):
-            return None
-        values = rows_of(self.line, topic, NO_ACCURACY)
-        if values is None:
-            return None
-        t_us = topic[stamp].astype(np.int64)
-        if self.kind == SPARE:
-            return SPARE, *_spare(getattr(block, self.line.target), self.number, t_us, values)
-        if self.kind == IMU:
-            values[:, IMU_ID] = self.number
-        begun = t_us >= self.begin_us
-        return self.kind, t_us[begun], values[begun, :WIDTH]
-
-
-def _streams(topics: Topics, lines: Iterable[MapLine], stamp: str) -> Iterator[SampleStream]:
-    """The topics with samples; of each kind those of the first message that has any."""
+    Detectors use the IMU of the first sample: each message counts from `begins_us` on.
+    """
     done: set[str] = set()
     for line in lines:
         if line.target in done:
             continue
         for number in range(INSTANCES if line.target in VOTERS else 1):
-            first = topics.get((line.message, 0), topics.get((line.message, number)))
-            # Detectors use the IMU of the first sample; start with instance 0.
-            stream = SampleStream(line, number, 0 if first is None else int(first[stamp][0]))
-            # Another version of the autopilot has other fields; a later line may match it.
-            if stream.rows(topics, stamp) is not None:
-                yield stream
-                done |= set() if stream.kind == SPARE else {line.target}
+            topic = topics.get((line.message, number))
+            if topic is None or not len((topic := _healthy(topic, line.target))[stamp]):
+                continue
+            values = rows_of(line, topic, NO_ACCURACY)
+            if values is None:  # another version of the autopilot; a later line may match it
+                continue
+            t_us, kind = topic[stamp].astype(np.int64), getattr(block, line.target)
+            if number and kind != IMU:
+                yield line, SPARE, *_spare(kind, number, t_us, values)
+                continue
+            if kind == IMU:
+                values[:, IMU_ID] = number
+            done.add(line.target)
+            begun = t_us >= begins_us.get(line.message, NEVER_US)
+            yield line, kind, t_us[begun], values[begun, :WIDTH]
 
 
-def _block(streams: Iterable[SampleStream], topics: Topics, stamp: str) -> Block:
-    """The samples of a block of topics."""
-    found = [rows for stream in streams if (rows := stream.rows(topics, stamp)) is not None]
+def _block(parts: Sequence[tuple[MapLine, int, Stamps, NDArray[np.float64]]]) -> Block:
+    """One block of samples."""
     # One order over all topics; at equal timestamps in the order of the table.
-    stamps = np.concatenate([np.empty(0, np.int64), *(t_us for _, t_us, _ in found)])
+    stamps = np.concatenate([np.empty(0, np.int64), *(t_us for _, _, t_us, _ in parts)])
     rank = np.empty(len(stamps), np.int64)
     rank[np.argsort(stamps, kind="stable")] = np.arange(len(stamps))
-    ends = np.cumsum([len(t_us) for _, t_us, _ in found], dtype=int)
+    ends = np.cumsum([len(t_us) for _, _, t_us, _ in parts], dtype=int)
     orders = np.split(rank, ends[:-1])
     return join_parts(
-        [BlockPart(k, o, t, v) for (k, t, v), o in zip(found, orders, strict=False)], ()
+        [BlockPart(k, o, t, v) for (_, k, t, v), o in zip(parts, orders, strict=False)], ()
     )
 
 
@@ -241,8 +221,8 @@ def _healthy(topic: Topic, kind: str) -> Topic:
 
 
 def _spare(
-    kind: int, number: int, t_us: NDArray[np.int64], values: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    kind: int, number: int, t_us: Stamps, values: NDArray[np.float64]
+) -> tuple[Stamps, NDArray[np.float64]]:
     """Timestamps and rows of a redundant sensor; of a receiver those with a 3D fix."""
     keep = values[:, FIX_TYPE] >= FIX_3D if kind == FIX else np.ones(len(t_us), bool)
     found = np.zeros((int(keep.sum()), SPARE_NUMBERS + 3))

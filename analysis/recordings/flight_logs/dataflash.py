@@ -21,7 +21,7 @@ from analysis.recordings.flight_logs.dataflash_formats import FIRST, MAGIC, TYPE
 from analysis.recordings.flight_logs.log_time import RowStamps, place_rows
 from analysis.recordings.flight_logs.logged_rows import BlockRows, Rows, Thin, Topic, join_rows
 from analysis.recordings.flight_logs.misdated_stamps import find_misdated
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 from mavproxy_fault.wire.written import written_bytes
 
 HEAD = 4096  # bytes of a file that show its kind: text may stand in front of a log
@@ -110,11 +110,9 @@ def read_dataflash(
     ConfigError
         If the file is not a dataflash log or holds no message with a time.
     """
-    try:
+    with users_path(path, "give the path of a .bin file"):
         logged = DataflashRows(Path(path), only)
         raw = join_rows(logged.blocks(), thin)
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; give the path of a .bin file") from error
     walk = logged.walk
     times = place_rows({key: logged.stamps(key, rows) for key, rows in raw.items()}, walk.boots[1:])
     if not any(some.any() for some in times.times.values()):

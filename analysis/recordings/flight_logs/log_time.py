@@ -51,8 +51,6 @@ class RowTimes:
     times: dict[Any, Stamps] = field(default_factory=dict)  # in us, shape (n,)
     # Rows (n,) with a credible stamp.
     keep: dict[Any, NDArray[np.bool_]] = field(default_factory=dict)
-    restarts: int = 0  # boots after the first one
-    settings: int = 0  # of the clock
     stale: int = 0  # rows from before the log, which count as of its beginning
     begin_us: int = 0
     unstamped: bool = False  # whether rows have no stamp
@@ -70,7 +68,7 @@ class RowTimes:
         if key in self.even:
             keep = ~known | clock.is_near(rows.at, placed)
         else:
-            keep = ~known | (placed <= clock.last_us + FARTHEST_BEHIND_US)
+            keep = ~known | (placed <= clock.t_us.max(initial=0) + FARTHEST_BEHIND_US)
             keep &= ~find_misdated(placed, topic=True)
         if self.topics and len(clock.at):
             keep[: _stale_rows(own)] = True
@@ -83,13 +81,13 @@ class RowTimes:
     def notes(self) -> list[str]:
         """Notes for readers of the report."""
         found = []
-        if self.restarts:
+        if self.clock.restarts:
             found.append(
-                f"the vehicle restarted {self.restarts} time(s) in this log: each boot is drawn "
-                "after the one before, one second later"
+                f"the vehicle restarted {self.clock.restarts} time(s) in this log: each boot is "
+                "drawn after the one before, one second later"
             )
-        if self.settings:
-            found.append(f"the log's clock was set {self.settings} time(s); its rows run on")
+        if settings := len(self.clock.edges) - self.clock.restarts:
+            found.append(f"the log's clock was set {settings} time(s); its rows run on")
         if self.unstamped:
             found.append("rows have no timestamps: they are placed between those that have a time")
         if self.stale:
@@ -117,15 +115,11 @@ def place_rows(
         known[: _stale_rows(stamps[key]) if topics else 0] = False
         parts.append((messages[key].at[: len(known)][known], stamps[key][known]))
     clock = join_clocks(parts, np.sort(np.array(boots, np.int64)))
-    settings = len(clock.edges) - clock.restarts
     clock = _with_other_clock(clock, list(messages.values()))
     first = int(clock.t_us.min()) if len(clock.t_us) else 0
     if begin_us is None or abs(first - begin_us) >= STALE_US:
         begin_us = first
-    found = RowTimes(
-        clock, even, topics, restarts=clock.restarts, settings=settings, unstamped=unstamped,
-        begin_us=begin_us,
-    )  # fmt: skip
+    found = RowTimes(clock, even, topics, begin_us=begin_us, unstamped=unstamped)
     for key, rows in messages.items():
         found.times[key], found.keep[key] = found.place(key, rows)
     return found
@@ -173,11 +167,6 @@ class RowClock(NamedTuple):
     def continued(self, places: Stamps, stamp_us: Stamps) -> Stamps:
         """The times of stamps (n,) at `places`."""
         return stamp_us + self.shifts[np.searchsorted(self.edges, places, "right")]
-
-    @property
-    def last_us(self) -> int:
-        """The latest time; 0 without any."""
-        return int(self.t_us.max()) if len(self.t_us) else 0
 
     def is_near(self, places: Stamps, t_us: Stamps) -> NDArray[np.bool_]:
         """Whether times (n,) at `places` are about those of the rows before and behind."""

@@ -23,7 +23,7 @@ from analysis.recordings.flight_logs.ulog_messages import (
     walk_messages,
 )
 from analysis.recordings.flight_logs.ulog_texts import logged_texts, printed_texts
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 from mavproxy_fault.wire.written import written_bytes
 
 NEWER_NAMES = {
@@ -53,7 +53,10 @@ class ULogRows:
 
     def stamps(self, _: tuple[str, int], rows: Rows) -> RowStamps:
         """Places and stamps of rows."""
-        return RowStamps(rows["at"], *_own_times(rows))
+        names = rows.dtype.names or ()
+        other = next((name for name in OTHER_CLOCKS if name in names), None)
+        own = rows["timestamp"].astype(np.int64) if "timestamp" in names else None
+        return RowStamps(rows["at"], own, None if other is None else rows[other].astype(np.int64))
 
     def topics(
         self, key: tuple[str, int], rows: Rows, t_us: NDArray[np.int64]
@@ -78,10 +81,8 @@ def read_ulog(
         If nothing can be read.
     """
     logged = ULogRows(Path(path), progress)
-    try:
+    with users_path(path, "give the path of a ULog"):
         raw = join_rows(logged.blocks(), thin)
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
     found = logged.messages
     if not found.formats:
         raise ConfigError(f"{path}: not a readable ULog; give a complete file")
@@ -112,14 +113,6 @@ def read_ulog(
         logged_texts(texts, topics.get(("event", 0), {}), info, several), parameters,
         _defaults(others["Q"], parameters), changes, info, dropouts, printed_texts(several),
     )  # fmt: skip
-
-
-def _own_times(rows: Rows) -> tuple[NDArray[np.int64] | None, NDArray[np.int64] | None]:
-    """The stamps of a topic's rows, and another clock's."""
-    names = rows.dtype.names or ()
-    other = next((name for name in OTHER_CLOCKS if name in names), None)
-    own = rows["timestamp"].astype(np.int64) if "timestamp" in names else None
-    return own, None if other is None else rows[other].astype(np.int64)
 
 
 def _placed(kind: str, rows: list[tuple[int, str, bytes]]) -> RowStamps:

@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from analysis.recordings.flight_logs.logged_rows import BLOCK_BYTES, BlockRows, Rows
+from analysis.recordings.flight_logs.logged_rows import BLOCK_BYTES, BlockRows, gather_rows
 
 MAGIC = b"ULog\x01\x12\x35"
 HEADER_BYTES, HEAD = 16, 3  # of the file, and of a message
@@ -84,8 +83,6 @@ def walk_messages(
             yield rows
             data, at = data[end:], at + end
             progress(min((at + len(data)) / size, 1.0))
-            if last:
-                break
 
 
 def _read_block(found: ULogMessages, data: bytes, at: int, last: bool) -> tuple[int, BlockRows]:
@@ -107,11 +104,11 @@ def _read_block(found: ULogMessages, data: bytes, at: int, last: bool) -> tuple[
         else:
             _define(found, at + begin, chr(data[begin + 2]), data[begin + HEAD : end])
         begin = end
-    topics = [(found.topics[n], starts) for n, starts in places.items() if n in found.topics]
-    return begin, [
-        ((topic.name, topic.instance), _rows(data, at, np.array(starts, np.int64), topic))
-        for topic, starts in topics
-    ]
+    raw, head, rows = np.frombuffer(data, np.uint8), HEAD + 2, []
+    for topic, starts in ((found.topics[n], s) for n, s in places.items() if n in found.topics):
+        some = gather_rows(raw, at - head, np.array(starts) + head, topic.dtype, topic.least)
+        rows.append(((topic.name, topic.instance), some))
+    return begin, rows
 
 
 def _end_of(found: ULogMessages, data: bytes, begin: int) -> int:
@@ -207,13 +204,3 @@ def _flat_fields(
                 yield key, NUMBERS[kind]
             else:
                 yield from _flat_fields(formats, kind, f"{key}.")
-
-
-def _rows(data: bytes, at: int, starts: NDArray[np.int64], topic: ULogTopic) -> Rows:
-    """The rows of a topic's messages: offset in the file and fields."""
-    rows = np.zeros(len(starts), topic.dtype)
-    raw = rows.view(np.uint8).reshape(len(starts), -1)
-    windows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), topic.least)
-    raw[:, 8 : 8 + topic.least] = windows[starts + HEAD + 2]
-    rows["at"] = starts + at
-    return rows

@@ -7,6 +7,7 @@ the zenith, but PX4's u-blox driver writes the angle above the horizon, and the 
 
 import numpy as np
 
+from analysis.field_maps.field_map import NOTHING, Fields
 from analysis.recordings.gnss.sbf_orbits import satellite_name
 from analysis.report.curves.recording import FlightData, Message, Vector
 from analysis.report.page.gnss_figures import Picture, draw_sky
@@ -34,24 +35,15 @@ def sky_pictures(recording: FlightData) -> list[Picture]:
 def _rows(message: Message, numbers: str, prefix: str) -> Vector:
     """Number, elevation, azimuth (deg) and use (0 or 1) of each satellite at each time (k, 4)."""
     names = (numbers, f"{prefix}elevation", f"{prefix}azimuth", f"{prefix}used")
+    fields = Fields(message.columns, NOTHING)
     try:
-        number, elevation, azimuth, used = (_table(message, name) for name in names)
+        number, elevation, azimuth, used = (np.asarray(fields[name], float).T for name in names)
     except KeyError:  # fields of another version
         return np.empty((0, 4))
     rows = np.stack([number, elevation, azimuth * (360.0 / AZIMUTH_STEPS), used > 0.0], axis=-1)
     rows = rows.reshape(-1, 4)
     # Drop empty entries and satellites without a direction.
     return rows[(rows[:, 0] > 0) & ((rows[:, 1] > 0) | (rows[:, 2] > 0)) & (rows[:, 1] <= 90)]
-
-
-def _table(message: Message, name: str) -> Vector:
-    """An array field (n, k): one array as in a tlog, or one column per element as in a ULog."""
-    if name in message.columns:
-        return np.asarray(message.columns[name], float)
-    places = [c for i in range(256) if (c := message.columns.get(f"{name}[{i}]")) is not None]
-    if not places:
-        raise KeyError(name)
-    return np.stack(places, axis=1).astype(float)
 
 
 def _picture(rows: Vector) -> Picture:
