@@ -141,7 +141,7 @@ def evaluate(value: CodeType, columns: Columns, constants: Mapping[str, float] =
     """The value of an expression; None where a field is missing or of another type."""
     try:
         with np.errstate(invalid="ignore", over="ignore"):
-            return eval(value, FUNCTIONS, _Fields(columns, constants))
+            return eval(value, FUNCTIONS, Fields(columns, constants))
     except (KeyError, NameError, IndexError, TypeError, ValueError, AttributeError):
         return None
 
@@ -156,7 +156,7 @@ def chosen_rows(line: MapLine, columns: Columns) -> NDArray[np.int64] | None:
     return None if line.name == ALL else np.flatnonzero(evaluate(_condition(line.name), columns))
 
 
-class _Fields(dict[str, Any]):
+class Fields(dict[str, Any]):
     """The fields of a message as the names of an expression."""
 
     def __init__(self, columns: Columns, constants: Mapping[str, float]) -> None:

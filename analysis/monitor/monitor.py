@@ -28,6 +28,7 @@ class Monitor:
         self.alarms = self._pipeline.alarms  # so far, by the name of the detector
         self.detector = config.detector
         self._tally = Tally(reference, link=config.link)
+        self.positions = self._tally.positions  # their errors so far
 
     @property
     def t_s(self) -> float:

@@ -24,9 +24,9 @@ NUMBER = re.compile(r"[+-]?\.?\d")  # beginning of a number
 
 
 def read_log(path: Path | str, condition: LogCondition | None = None) -> Iterator[Block]:
-    """Read a tlog block by block, or a ULog or dataflash log as one block.
+    """Read a log block by block.
 
-    Lost parts are noted in `condition`; for an autopilot log before the block is yielded.
+    Lost parts are noted in `condition`; what an autopilot's logger lost before the first block.
 
     Raises
     ------
@@ -34,7 +34,7 @@ def read_log(path: Path | str, condition: LogCondition | None = None) -> Iterato
         If the log does not exist or holds no sensor samples.
     """
     if Path(path).is_file() and is_autopilot_log(Path(path)):
-        yield read_autopilot_log(Path(path), condition)
+        yield from read_autopilot_log(Path(path), condition or LogCondition())
         return
     decoder, junk = Decoder(), [0]
     sensed = False

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from analysis.report.curves.panels import CHECKS
 from analysis.report.curves.recording import FlightData, Signal
+from analysis.report.curves.vehicle_phase import armed_windows
 from analysis.report.flight_verdict import FlightAssessment
 from analysis.report.judging.checks import NONE, FlightCheck
 from analysis.report.page.page_parts import ReportTable
@@ -41,16 +42,10 @@ def overlay_flights(outcome: FlightAssessment, others: Sequence[FlightAssessment
 
 
 def _shift(recording: FlightData, compared: FlightData) -> tuple[float, str]:
-    armed = [
-        min(
-            (s.start_s for s in r.spans if s.lane.startswith("armed") and s.text == "armed"),
-            default=None,
-        )
-        for r in (recording, compared)
-    ]
+    armed, theirs = armed_windows(recording), armed_windows(compared)
     # Both or neither: arming and the start of a log are not a common time.
-    if armed[0] is not None and armed[1] is not None:
-        return armed[0] - armed[1], "aligned at arming"
+    if armed and theirs:
+        return armed[0][0] - theirs[0][0], "aligned at arming"
     return 0.0, "aligned at the start"
 
 

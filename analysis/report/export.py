@@ -6,6 +6,7 @@ in microseconds as in the log.
 """
 
 import csv
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from functools import cache
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from analysis.recordings.flight_logs.autopilot_logs import is_autopilot_log, read_topics
-from analysis.report.curves.recording import FlightData
+from analysis.report.curves.recording import FlightData, element_columns
 from analysis.report.foxglove_views import write_views
 from analysis.report.rerun_views import write_rerun
 from analysis.results import encode, read_results
@@ -66,19 +67,9 @@ def read_tables(path: Path, *, with_results: bool = True) -> Iterator[tuple[str,
         return
     for columns in tlog.read_blocks(path):
         for name, rows in columns.items():
-            yield name, _flat(rows)
-
-
-def _flat(rows: NDArray[np.void]) -> Table:
-    table: Table = {}
-    for name in rows.dtype.names or ():
-        column = rows[name]
-        # Many tools cannot read array cells, so each element gets a column.
-        if column.ndim == 1:
-            table[name] = column
-        else:
-            table.update({f"{name}[{i}]": column[:, i] for i in range(column.shape[1])})
-    return table
+            # Many tools cannot read array cells, so each element gets a column.
+            fields = (element_columns(field, rows[field]) for field in rows.dtype.names or ())
+            yield name, dict(itertools.chain.from_iterable(fields))
 
 
 def _result_tables(path: Path) -> Iterator[tuple[str, Table]]:

@@ -15,7 +15,7 @@ from analysis.report.curves.recording import FlightData, Span
 from analysis.report.flight_checks import flight_checks
 from analysis.report.flight_checks.level_checks import compare_motors
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, chain_of, verdict_of
+from analysis.report.judging.checks import FAIL, MET, PASS, WARN, FlightCheck, chain_of, verdict_of
 from analysis.report.judging.fault_reaction import AFTER_FAULT_S, fault_reactions
 from analysis.report.judging.flight_facts import flight_facts
 from analysis.report.judging.flight_signals import judge_requirements
@@ -27,7 +27,6 @@ from analysis.scoring.vehicle_outcome import is_crash_text
 
 EVENTS_KEPT = 200  # chosen: of events with one text but for its numbers, in the summary
 NUMBERS = re.compile(r"[-+]?\d+(\.\d+)?")
-MET = {True: PASS, False: FAIL, None: NONE}
 # Alarms and errors that are expected while a fault is injected: what it did to the vehicle is
 # judged by the vehicle's outcome.
 FAULT_EFFECTS = {

@@ -11,8 +11,7 @@ from analysis.report.curves.recording import FlightData, GroundTrack
 from analysis.report.page.gnss_figures import gnss_pictures
 from analysis.report.recordings.from_results import axis_start, recording_of_results
 from analysis.report.solution_files import write_solution
-from analysis.results import Decision, FusedState, Result
-from analysis.samples.sample import Vector
+from analysis.results import Decision, Result
 from analysis.scoring.integrity import Integrity
 from analysis.scoring.position_scores import HORIZONTAL, VERTICAL, PositionScores
 from mavproxy_fault.numerics.earth import geodetic_from_ecef
@@ -25,8 +24,12 @@ def receiver_files(
     labels: Sequence[Label],
     reference: PositionReference | None,
     integrity: Integrity,
+    scores: PositionScores,
 ) -> dict[str, Any]:
-    """Write positions and tracks to the folder; returns tracks and pictures for the report."""
+    """Write positions and tracks to the folder; returns tracks and pictures for the report.
+
+    `scores` are the errors against the `reference`.
+    """
     t0_us = axis_start(labels, results) or 0
     recording = recording_of_results(labels, results, t0_us)
     truth = [] if reference is None else _truth(results, reference, t0_us)
@@ -35,23 +38,9 @@ def receiver_files(
     assumed = f", while {' or '.join(integrity.assumed)}"
     tables = {name: integrity.table(name) for name in integrity.pairs}
     levels = {name + assumed: table for name, table in tables.items() if len(table)}
-    errors = _errors(results, reference)
+    errors = {name: scores.table(name)[:, [HORIZONTAL, VERTICAL]] for name in scores.solutions()}
     pictures = gnss_pictures(results, errors, levels)
     return {"beside": FlightData("", tracks=truth), "pictures": pictures}
-
-
-def _errors(results: Sequence[Result], reference: PositionReference | None) -> dict[str, Vector]:
-    """Horizontal and vertical position errors (n, 2) by solution."""
-    scores = PositionScores()
-    for result in results:
-        if not isinstance(result, (Decision, FusedState)) or result.position_ecef_m is None:
-            continue
-        true_m = None if reference is None else reference.at(result.t_us)
-        if true_m is not None:
-            name = "filter" if isinstance(result, Decision) else result.name
-            scores.add(name, result.position_ecef_m, result.position_sigma_m, true_m)
-    columns = [HORIZONTAL, VERTICAL]
-    return {name: scores.table(name)[:, columns] for name in scores.solutions()}
 
 
 def _truth(

@@ -24,6 +24,7 @@ from analysis.recordings.read_recordings import read_log, read_rinex
 from analysis.report.curves.derived_curves import add_derived_curves
 from analysis.report.judging.flight_signals import judge_requirements
 from analysis.report.recordings.flight_sources import read_flight
+from analysis.report.recordings.thinning import read_contents
 from analysis.report.run_folder import ResultFile, make_folder, write_summary
 from analysis.results import Result
 from analysis.run.stop_signal import StopCheck, stop_requests
@@ -33,6 +34,7 @@ from analysis.samples.block import Block
 from analysis.samples.link_buffer import LinkBuffer
 from analysis.scoring.criteria import Criteria, CriterionCheck, receiver_criteria
 from analysis.scoring.integrity import Integrity
+from analysis.scoring.position_scores import PositionScores
 from analysis.scoring.requirements import Requirement, read_requirements
 from analysis.work_progress import WorkProgress
 from mavproxy_fault.app.command_result import print_result
@@ -111,7 +113,7 @@ def main(args: argparse.Namespace) -> int:
         write_summary(folder, summary)
         if injected is not None:
             write_private(folder / "labels.jsonl", encode_lines(injected))
-        _report(args, folder, labels or [], summary, reference, integrity)
+        _report(args, folder, labels or [], summary, (reference, integrity, monitor.positions))
     return show_summary(args, summary, folder)
 
 
@@ -282,19 +284,17 @@ def _report(
     folder: Path,
     labels: Sequence[Label],
     summary: dict[str, object],
-    reference: PositionReference | None,
-    integrity: Integrity,
+    accuracy: tuple[PositionReference | None, Integrity, PositionScores],
 ) -> None:
     from analysis.report.run_report import write_run_report
     from analysis.results import read_results
-    from mavproxy_fault.wire.tlog import read_columns
 
     results = list(read_results(folder / "results.jsonl"))
     extras: dict[str, Any] = {}
     if args.rinex:
         from analysis.report.receiver_files import receiver_files
 
-        extras = receiver_files(folder, results, labels, reference, integrity)
+        extras = receiver_files(folder, results, labels, *accuracy)
     title = Path(args.log or args.rinex[0]).name if args.log or args.rinex else folder.name
     write_run_report(
         folder,
@@ -302,7 +302,9 @@ def _report(
         labels=labels,
         results=results,
         # Autopilot logs have no MAVLink columns.
-        columns=read_columns(args.log) if args.log and not is_autopilot_log(Path(args.log)) else {},
+        columns=read_contents(Path(args.log), lambda _: None).columns
+        if args.log and not is_autopilot_log(Path(args.log))
+        else {},
         title=title,
         **extras,
     )

@@ -81,10 +81,11 @@ SENSOR_PLANT_FAULTS = {  # what a plant fault that acts on sensors falsifies
 }
 SURFACE = re.compile(r"(elevator|aileron|rudder)_efficiency")
 
-MAG_FIELDS = re.compile(r"[xyz]mag")
-IMU_FIELDS = re.compile(r"[xyz](gyro|acc)")
-BARO_FIELDS = ("abs_pressure", "press_abs", "pressure_alt")
-AIR_FIELDS = ("diff_pressure", "press_diff")
+SENSOR_FIELDS = {
+    IMU: re.compile(r"[xyz](gyro|acc)"), MAG: re.compile(r"[xyz]mag"),
+    BARO: re.compile(r"abs_pressure|press_abs|pressure_alt"),
+    AIRSPEED: re.compile(r"diff_pressure|press_diff"),
+}  # fmt: skip
 SENSOR_MESSAGES = {
     **dict.fromkeys(("HIL_SENSOR", "HIGHRES_IMU"), (IMU, MAG, BARO, AIRSPEED)),
     **dict.fromkeys(("RAW_IMU", "SCALED_IMU", "SCALED_IMU2", "SCALED_IMU3"), (IMU, MAG)),
@@ -258,10 +259,6 @@ def _devices(message: str, name: str, parameters: Mapping[str, object]) -> tuple
     # Time stamps belong to every sensor of the message.
     if not name or name.startswith("time") or len(every) == 1:
         return every
-    for device, fields in ((IMU, IMU_FIELDS), (MAG, MAG_FIELDS)):
-        if device in every and fields.fullmatch(name):
-            return (device,)
-    for device, names in ((BARO, BARO_FIELDS), (AIRSPEED, AIR_FIELDS)):
-        if device in every and name in names:
-            return (device,)
-    return ()
+    return tuple(
+        one for one in every if one in SENSOR_FIELDS and SENSOR_FIELDS[one].fullmatch(name)
+    )

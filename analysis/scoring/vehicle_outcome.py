@@ -124,6 +124,11 @@ class VehicleRecord(NamedTuple):
     lowered: Sequence[tuple[float, float]] = ()
     flies: bool = True
 
+    def mode_spans(self) -> list[tuple[str, float, float]]:
+        """Each mode with its begin and end [s]; the last one has no end."""
+        ends_s = [*(mode.t_s for mode in self.modes[1:]), np.inf]
+        return [(mode.text, mode.t_s, end) for mode, end in zip(self.modes, ends_s, strict=False)]
+
 
 class VehicleEvent(msgspec.Struct, frozen=True):
     """One event of a flight; `kind` is one of `VEHICLE_OUTCOMES`, take-off or touchdown, in a
@@ -396,7 +401,7 @@ def find_failsafes(
     said = [text for text in record.texts if FAILSAFE_TEXT.search(text.text)]
     found = []
     for previous, mode in zip(record.modes, record.modes[1:], strict=False):
-        if not _is_inside(mode.t_s, acting) or mode.text == previous.text:
+        if not is_within(mode.t_s, acting) or mode.text == previous.text:
             continue
         if _is_near(mode.t_s, record.commands or (), -COMMAND_S, 0.1):
             continue
@@ -411,15 +416,16 @@ def find_failsafes(
             found.append(VehicleEvent(round(mode.t_s, 3), FAILSAFE, f"{mode.text}: {words}"))
     marked = [TimedText(event.t_s, event.text) for event in found]
     for text in (*said, *record.expelled):
-        if _is_inside(text.t_s, acting) and not _is_near(text.t_s, marked, -60.0, REASON_S):
+        if is_within(text.t_s, acting) and not _is_near(text.t_s, marked, -60.0, REASON_S):
             mode_name = mode_at(record, text.t_s) or "no change of mode"
             found.append(VehicleEvent(round(text.t_s, 3), FAILSAFE, f"{mode_name}: {text.text}"))
             marked.append(text)
     return sorted(found, key=lambda event: event.t_s)
 
 
-def _is_inside(t_s: float, windows: Sequence[tuple[float, float]]) -> bool:
-    return any(start_s <= t_s <= end_s for start_s, end_s in windows)
+def is_within(t_s: float, windows: Sequence[tuple[float, float]] | None) -> bool:
+    """Whether an instant is within any of the windows (None: always)."""
+    return windows is None or any(start_s <= t_s <= end_s for start_s, end_s in windows)
 
 
 def _is_near(t_s: float, marks: Sequence[TimedText], from_s: float, to_s: float) -> bool:
@@ -432,13 +438,9 @@ def _find_departure(
     """Return how far [m] and when [s] the vehicle left the place that its mode holds, and when it
     flew away from there or from where it believes to be."""
     farthest_m, left_s, events = 0.0, flown[1], []
-    ends_s = [*(mode.t_s for mode in record.modes[1:]), float("inf")]
-    spans = [
-        (max(mode.t_s, flown[0]), min(end_s, flown[1]))
-        for mode, end_s in zip(record.modes, ends_s, strict=False)  # a log may have no modes
-        if record.hovers and mode.text in HOLD_MODES
-    ]
-    for start_s, end_s in spans:
+    held = [span for span in record.mode_spans() if record.hovers and span[0] in HOLD_MODES]
+    for _, begin_s, end_s in held:
+        start_s, end_s = max(begin_s, flown[0]), min(end_s, flown[1])
         inside = (motion.t_s >= start_s) & (motion.t_s <= end_s) & np.isfinite(motion.north_m)
         if not inside.any():
             continue
@@ -521,7 +523,7 @@ def _find_touchdown(
         command.text in LANDING_MODES or command.text == "mission" for command in record.commands
     )
     mode = mode_at(record, t_s)
-    piloted = mode in PILOT_MODES and _is_inside(t_s, record.lowered)
+    piloted = mode in PILOT_MODES and is_within(t_s, record.lowered)
     # Autonomous landings at the end of a mission are what the mission commands.
     asked = commanded or piloted or mode in ("AUTO", "MISSION") or explained
     touchdown = VehicleEvent(t_s, "touchdown")

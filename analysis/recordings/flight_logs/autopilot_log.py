@@ -4,11 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from numpy.typing import NDArray
-
 from analysis.recordings.flight_logs.log_time import RowTimes
+from analysis.recordings.flight_logs.logged_rows import Topic
 
-Topic = dict[str, NDArray[Any]]
 LoggedTexts = list[tuple[int, int, str]]  # t_us, severity as in MAVLink, text
 CORRUPTED = "parts of the file are corrupted and were skipped"
 
@@ -18,6 +16,8 @@ class AutopilotLog:
     """Contents of a ULog or a dataflash log; what follows `cut` only a ULog has beside topics."""
 
     autopilot: str  # "px4" or "ardupilot"
+    rows: Any  # as logged, block by block: `DataflashRows` or `ULogRows`
+    thinned: bool  # whether the topics lack rows
     # Columns by message name and instance (from 0), with the time in us as `stamp`.
     topics: Mapping[tuple[str, int], Topic]
     start_us: int  # first and last time

@@ -23,8 +23,8 @@ from analysis.recordings.flight_logs.dataflash_formats import (
     assign_types,
     find_formats,
 )
+from analysis.recordings.flight_logs.logged_rows import BLOCK_BYTES, gather_rows
 
-BLOCK_BYTES = 1 << 25  # read at once, to limit memory
 LONGEST = 255 + HEAD  # more than a message has: its length is one byte
 Places = NDArray[np.int64]
 
@@ -173,18 +173,6 @@ def _fills(data: Bytes, begin: Places, gap: Places, lengths: Places) -> NDArray[
     return np.asarray(half & (lengths[data[begin + 2]] == gap))
 
 
-def read_rows(data: Bytes, at: int, starts: Places, form: MessageFormat) -> NDArray[np.void]:
-    """The rows of all messages of one type: offset in the file and fields as logged."""
-    rows = np.empty(len(starts), form.dtype())
-    rows["at"] = starts + at
-    raw = rows.view(np.uint8).reshape(len(starts), -1)
-    width = form.length - HEAD
-    # A sliding view, indexed at the messages only: nothing else is copied.
-    windows = np.lib.stride_tricks.sliding_window_view(data, width)
-    raw[:, 8:] = windows[starts + HEAD]
-    return rows
-
-
 def rows_by_type(
     data: Bytes, at: int, starts: Places, forms: Mapping[int, MessageFormat]
 ) -> Iterator[tuple[MessageFormat, NDArray[np.void]]]:
@@ -192,4 +180,5 @@ def rows_by_type(
     types = data[starts + 2]
     for number in np.unique(types).tolist():
         if number in forms:
-            yield forms[number], read_rows(data, at, starts[types == number], forms[number])
+            form, begins = forms[number], starts[types == number] + HEAD
+            yield form, gather_rows(data, at - HEAD, begins, form.dtype(), form.length - HEAD)

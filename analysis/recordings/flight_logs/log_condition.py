@@ -2,14 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from analysis.recordings.flight_logs.logged_rows import Topic
 
 MAX_JUNK_SHARE = 1e-3  # share of a tlog's bytes outside frames, above which it counts as corrupted
-
-Stretch = tuple[int, int]
 
 
 @dataclass
@@ -18,7 +16,7 @@ class LogCondition:
 
     damage: list[str] = field(default_factory=list)  # one text per kind of damage
     # Periods in which the logger reports dropped records; the sensors may have been sampled.
-    lost_us: list[Stretch] = field(default_factory=list)
+    lost_us: list[tuple[int, int]] = field(default_factory=list)
 
     def note_junk(self, junk_bytes: int, size: int) -> None:
         """Note the bytes of a tlog outside frames; an incomplete last frame is not corruption."""
@@ -27,7 +25,7 @@ class LogCondition:
             self.damage.append(f"{junk_bytes} of {size} bytes ({share:.2g} %) are not frames")
 
 
-def dataflash_losses(topics: Mapping[tuple[str, int], Mapping[str, NDArray[Any]]]) -> list[Stretch]:
+def dataflash_losses(topics: Mapping[tuple[str, int], Topic]) -> list[tuple[int, int]]:
     """Periods in which ArduPilot's logger dropped records, from its own counter (DSF.Dp)."""
     counter = topics.get(("DSF", 0), {})
     if not {"TimeUS", "Dp"} <= counter.keys():
@@ -35,9 +33,3 @@ def dataflash_losses(topics: Mapping[tuple[str, int], Mapping[str, NDArray[Any]]
     stamps, dropped = counter["TimeUS"].astype(np.int64), counter["Dp"].astype(np.int64)
     grown = np.flatnonzero(np.diff(dropped) > 0)
     return [(int(stamps[i]), int(stamps[i + 1])) for i in grown]
-
-
-def ulog_losses(dropouts: list[tuple[int, float]]) -> list[Stretch]:
-    """Periods in which PX4's logger wrote nothing; a dropout is stamped with the record before
-    it."""
-    return [(t_us, t_us + round(duration_s * 1e6)) for t_us, duration_s in dropouts]

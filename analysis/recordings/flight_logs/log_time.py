@@ -6,14 +6,15 @@ missing or zero, another time in the messages counts (that of the receiver), els
 file. Only where the vehicle evidently started anew, boots are placed one after another.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from analysis.recordings.flight_logs.misdated_stamps import (
+    FAR_US,
     FREQUENT_US,
     find_misdated,
     find_restarts,
@@ -44,25 +45,49 @@ class RowStamps(NamedTuple):
 class RowTimes:
     """The times of rows by message, which of them count, and what was found."""
 
-    times: dict[Any, Stamps]  # in us, shape (n,)
-    keep: dict[Any, NDArray[np.bool_]]  # rows (n,) with a credible stamp
-    restarts: int = 0  # boots after the first one
-    settings: int = 0  # of the clock
+    clock: "RowClock"
+    even: Collection[Any]  # messages that show the clock
+    topics: bool  # whether rows have the stamps of their publication
+    times: dict[Any, Stamps] = field(default_factory=dict)  # in us, shape (n,)
+    # Rows (n,) with a credible stamp.
+    keep: dict[Any, NDArray[np.bool_]] = field(default_factory=dict)
     stale: int = 0  # rows from before the log, which count as of its beginning
     begin_us: int = 0
     unstamped: bool = False  # whether rows have no stamp
     misdated: bool = False  # or a wrong one
 
+    def place(self, key: Any, rows: RowStamps) -> tuple[Stamps, NDArray[np.bool_]]:
+        """Times (n,) of rows of a message, and whether they are credible."""
+        own, clock = _signed(rows.stamp_us), self.clock
+        placed, known = clock.between(rows.at), np.zeros(len(rows.at), bool)
+        if len(own):
+            known = own != 0
+            placed = np.where(known, clock.continued(rows.at, own), placed)
+        elif not self.unstamped:
+            placed = clock.newest_before(rows.at)
+        if key in self.even:
+            keep = ~known | clock.is_near(rows.at, placed)
+        else:
+            keep = ~known | (placed <= clock.t_us.max(initial=0) + FARTHEST_BEHIND_US)
+            keep &= ~find_misdated(placed, topic=True)
+        if self.topics and len(clock.at):
+            keep[: _stale_rows(own)] = True
+            stale = keep & (placed < self.begin_us - STALE_US)
+            self.stale += int(stale.sum())
+            placed = np.where(stale, self.begin_us, placed)
+        self.misdated |= not keep.all()
+        return placed, keep
+
     def notes(self) -> list[str]:
         """Notes for readers of the report."""
         found = []
-        if self.restarts:
+        if self.clock.restarts:
             found.append(
-                f"the vehicle restarted {self.restarts} time(s) in this log: each boot is drawn "
-                "after the one before, one second later"
+                f"the vehicle restarted {self.clock.restarts} time(s) in this log: each boot is "
+                "drawn after the one before, one second later"
             )
-        if self.settings:
-            found.append(f"the log's clock was set {self.settings} time(s); its rows run on")
+        if settings := len(self.clock.edges) - self.clock.restarts:
+            found.append(f"the log's clock was set {settings} time(s); its rows run on")
         if self.unstamped:
             found.append("rows have no timestamps: they are placed between those that have a time")
         if self.stale:
@@ -79,42 +104,24 @@ def place_rows(
     where rows have the stamps of their publication, which may be long before they are logged: the
     newest sample of every topic is logged first.
     """
-    found = RowTimes({}, {})
     topics = begin_us is not None
     stamps = {key: _signed(rows.stamp_us) for key, rows in messages.items()}
     # By topics that are logged evenly the clock of the others is known.
     even = [key for key, some in stamps.items() if not topics or _is_even(some)] or list(messages)
-    parts = []
+    parts, unstamped = [], False
     for key in even:
-        found.unstamped |= bool((stamps[key] == 0).any())
+        unstamped |= bool((stamps[key] == 0).any())
         known = stamps[key] != 0
         known[: _stale_rows(stamps[key]) if topics else 0] = False
         parts.append((messages[key].at[: len(known)][known], stamps[key][known]))
-    clock, wrong_places = join_clocks(parts, np.sort(np.array(boots, np.int64)))
-    found.restarts, found.settings = clock.restarts, len(clock.edges) - clock.restarts
+    clock = join_clocks(parts, np.sort(np.array(boots, np.int64)))
     clock = _with_other_clock(clock, list(messages.values()))
-    t_us = clock.t_us
-    first, last = (int(t_us.min()), int(t_us.max())) if len(t_us) else (0, 0)
-    found.begin_us = first
-    if begin_us is not None and abs(first - begin_us) < STALE_US:
-        found.begin_us = begin_us
+    first = int(clock.t_us.min()) if len(clock.t_us) else 0
+    if begin_us is None or abs(first - begin_us) >= STALE_US:
+        begin_us = first
+    found = RowTimes(clock, even, topics, begin_us=begin_us, unstamped=unstamped)
     for key, rows in messages.items():
-        own = stamps[key]
-        placed = clock.between(rows.at)
-        if len(own):
-            placed = np.where(own != 0, clock.continued(rows.at, own), placed)
-        elif not found.unstamped:
-            placed = clock.newest_before(rows.at)
-        keep = ~np.isin(rows.at, wrong_places)
-        if topics and len(clock.at):
-            keep &= (key in even) | ~find_misdated(placed, topic=True)
-            stale = keep & (placed < found.begin_us - STALE_US)
-            found.stale += int(stale.sum())
-            far = (placed > last + FARTHEST_BEHIND_US) & (own != 0 if len(own) else False)
-            keep &= ~far | (key in even)
-            placed = np.where(stale, found.begin_us, placed)
-        found.times[key], found.keep[key] = placed, keep
-        found.misdated |= not keep.all()
+        found.times[key], found.keep[key] = found.place(key, rows)
     return found
 
 
@@ -161,6 +168,15 @@ class RowClock(NamedTuple):
         """The times of stamps (n,) at `places`."""
         return stamp_us + self.shifts[np.searchsorted(self.edges, places, "right")]
 
+    def is_near(self, places: Stamps, t_us: Stamps) -> NDArray[np.bool_]:
+        """Whether times (n,) at `places` are about those of the rows before and behind."""
+        if not len(self.at):
+            return np.ones(len(places), bool)
+        behind = np.searchsorted(self.at, places)
+        beside = self.t_us[np.clip([behind - 1, behind], 0, len(self.at) - 1)]
+        near = (t_us > beside.min(axis=0) - FAR_US) & (t_us < beside.max(axis=0) + FAR_US)
+        return np.asarray(near)
+
     def newest_before(self, places: Stamps) -> Stamps:
         """The time of the row before each of some places (n,)."""
         if not len(self.t_us):
@@ -181,15 +197,15 @@ class RowClock(NamedTuple):
 
 def join_clocks(
     parts: Sequence[tuple[Stamps, Stamps]], boots: Stamps | None, pause_us: int | None = PAUSE_US
-) -> tuple[RowClock, Stamps]:
-    """The clock of rows, given as places and stamps, and the places of rows with a wrong stamp.
+) -> RowClock:
+    """The clock of rows, given as places and stamps, without those with a wrong stamp.
 
     `boots` are places at which the logger began anew; None: the vehicle restarts where its clock
     falls back. `pause_us` lies between two boots; None: that between their places, which are times.
     """
     at, t_us = _in_file_order(parts)
-    wrong = find_misdated(t_us)
-    at, t_us, wrong_places = at[~wrong], t_us[~wrong], at[wrong]
+    sound = ~find_misdated(t_us)
+    at, t_us = at[sound], t_us[sound]
     jumps = np.union1d(find_restarts(t_us), np.flatnonzero(np.diff(t_us) > LONGEST_GAP_US) + 1)
     begins = [0, *jumps.tolist(), len(t_us)]
     shifts, restarts = [0], 0
@@ -205,8 +221,12 @@ def join_clocks(
         join = newest + pause - int(t_us[end:after].min())
         shifts.append(max(-FARTHEST_US, min(join, FARTHEST_US)))
     edges, joins = at[jumps], np.array(shifts, np.int64)
+    if boots is not None and len(boots):
+        # Rows of a boot that are not given belong to it, too.
+        first = boots[np.searchsorted(boots[:-1], at[jumps - 1], "right")]
+        edges = np.where((first > at[jumps - 1]) & (first < edges), first, edges)
     t_us = t_us + joins[np.searchsorted(edges, at, "right")]
-    return RowClock(at, t_us, edges, joins, restarts), wrong_places
+    return RowClock(at, t_us, edges, joins, restarts)
 
 
 def _with_other_clock(clock: RowClock, messages: Sequence[RowStamps]) -> RowClock:

@@ -74,7 +74,7 @@ def clock_of(columns: Columns, t0_us: int | None = None) -> tuple[LogClock, list
             # Zero means unknown.
             parts.append((rows["t_us"][own > 0], own[own > 0]))
     # With labels as in the proxy, which wrote them: a restarted clock goes on at once.
-    clock, _ = join_clocks(parts, None, None if t0_us is None else 0)
+    clock = join_clocks(parts, None, None if t0_us is None else 0)
     if len(clock.at) < 2:
         # Without the vehicle's time the log's counts.
         clock = clock._replace(at=SECOND, t_us=SECOND, shifts=clock.shifts[:1] * 0)

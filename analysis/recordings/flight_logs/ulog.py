@@ -6,27 +6,26 @@ A topic's columns are its fields, elements of arrays each (`q[0]`), with `timest
 
 import re
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.flight_logs.autopilot_log import AutopilotLog, LoggedTexts, Topic
+from analysis.recordings.flight_logs.autopilot_log import AutopilotLog, LoggedTexts
 from analysis.recordings.flight_logs.log_time import RowStamps, RowTimes, place_rows
+from analysis.recordings.flight_logs.logged_rows import BlockRows, Rows, Thin, Topic, join_rows
 from analysis.recordings.flight_logs.ulog_messages import (
     MAGIC,
     NUMBERS,
     ULogMessages,
-    ULogTopic,
-    read_messages,
+    walk_messages,
 )
 from analysis.recordings.flight_logs.ulog_texts import logged_texts, printed_texts
-from mavproxy_fault.documents.errors import ConfigError
+from mavproxy_fault.documents.errors import ConfigError, users_path
 from mavproxy_fault.wire.written import written_bytes
 
-Rows = NDArray[np.void]
 NEWER_NAMES = {
     "lat": ("latitude_deg", 1e-7), "lon": ("longitude_deg", 1e-7), "alt": ("altitude_msl_m", 1e-3),
 }  # fmt: skip
@@ -40,44 +39,65 @@ def is_ulog(head: bytes) -> bool:
     return head.startswith(MAGIC)
 
 
+class ULogRows:
+    """The rows of a ULog's topics."""
+
+    def __init__(self, path: Path, progress: Callable[[float], None]) -> None:
+        self.messages = ULogMessages()  # of the newest walk
+        self._path, self._progress = path, progress
+
+    def blocks(self) -> Iterator[BlockRows]:
+        """The rows of each block."""
+        self.messages, size = ULogMessages(), written_bytes(self._path)
+        return walk_messages(self._path, size, self.messages, self._progress)
+
+    def stamps(self, _: tuple[str, int], rows: Rows) -> RowStamps:
+        """Places and stamps of rows."""
+        names = rows.dtype.names or ()
+        other = next((name for name in OTHER_CLOCKS if name in names), None)
+        own = rows["timestamp"].astype(np.int64) if "timestamp" in names else None
+        return RowStamps(rows["at"], own, None if other is None else rows[other].astype(np.int64))
+
+    def topics(
+        self, key: tuple[str, int], rows: Rows, t_us: NDArray[np.int64]
+    ) -> Iterator[tuple[tuple[str, int], Topic]]:
+        """The columns of rows."""
+        columns = {name: rows[name] for name in rows.dtype.names or () if name != "at"}
+        yield key, _with_newer_names(columns | {"timestamp": t_us})
+
+
 def read_ulog(
     path: str | Path,
     progress: Callable[[float], None] = lambda _: None,
-    thin: Callable[[Rows], Rows] = lambda rows: rows,
+    thin: Thin | None = None,
 ) -> AutopilotLog:
     """Read a ULog; of a corrupted file the readable part, with `corrupted` set.
 
-    `progress` is called with the share that is read, from 0 to 1; `thin` chooses the rows (k,) to
-    keep of those (n,) of one topic in a block.
+    `progress` is called with the share that is read, from 0 to 1.
 
     Raises
     ------
     ConfigError
         If nothing can be read.
     """
-    path = Path(path)
-    try:
-        found = read_messages(path, written_bytes(path), thin, progress)
-    except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; give the path of a ULog") from error
-    raw = _joined_rows(found)
+    logged = ULogRows(Path(path), progress)
+    with users_path(path, "give the path of a ULog"):
+        raw = join_rows(logged.blocks(), thin)
+    found = logged.messages
     if not found.formats:
         raise ConfigError(f"{path}: not a readable ULog; give a complete file")
     others = {kind: [row for row in found.others if row[1] == kind] for kind in "LCPOQIM"}
     placed: dict[Any, RowStamps] = {kind: _placed(kind, rows) for kind, rows in others.items()}
-    stamps = ((key, RowStamps(rows["at"], *_own_times(rows))) for key, rows in raw.items())
-    times = place_rows(placed | dict(stamps), begin_us=found.begin_us)
+    stamps = {key: logged.stamps(key, rows) for key, rows in raw.items()}
+    times = place_rows(placed | stamps, begin_us=found.begin_us)
     if not any(times.times[key].any() for key in raw):
         raise ConfigError(f"{path}: holds no message with a time; give a log of a flight")
     begin = min(int(rows["at"][0]) for rows in raw.values())
-    topics = {}
-    for key in [*raw]:
+    topics: dict[tuple[str, int], Topic] = {}
+    for key, keep in times.keep.items():
         # Each topic's rows are given up for its columns, to limit memory.
-        rows, keep, t_us = raw.pop(key), times.keep[key], times.times[key]
-        if not keep.any():
-            continue
-        columns = {n: rows[n][keep] for n in rows.dtype.names or () if n != "at"}
-        topics[key] = _with_newer_names(columns | {"timestamp": t_us[keep]})
+        if key in raw and keep.any():
+            topics.update(logged.topics(key, raw.pop(key)[keep], times.times[key][keep]))
     texts = _texts(others, times)
     info = dict(_keyed(payload) for _, _, payload in others["I"])
     several = _several_infos(others["M"])
@@ -88,33 +108,11 @@ def read_ulog(
     ]
     end_us = max(int(topic["timestamp"][-1]) for topic in topics.values())
     return AutopilotLog(
-        "px4", topics, times.begin_us, end_us, times, found.skipped_bytes > 0 or times.misdated,
-        found.cut, logged_texts(texts, topics.get(("event", 0), {}), info, several), parameters,
+        "px4", logged, thin is not None, topics, times.begin_us, end_us, times,
+        found.skipped_bytes > 0 or times.misdated, found.cut,
+        logged_texts(texts, topics.get(("event", 0), {}), info, several), parameters,
         _defaults(others["Q"], parameters), changes, info, dropouts, printed_texts(several),
     )  # fmt: skip
-
-
-def _joined_rows(found: ULogMessages) -> dict[tuple[str, int], Rows]:
-    """The rows of all topics with any, by name and instance."""
-    by_name: dict[tuple[str, int], list[ULogTopic]] = {}
-    for topic in found.topics.values():
-        # A topic that is subscribed again has another number.
-        by_name.setdefault((topic.name, topic.instance), []).append(topic)
-    joined = {}
-    for key, some in by_name.items():
-        if any(topic.rows for topic in some) and len({topic.dtype for topic in some}) == 1:
-            joined[key] = np.concatenate([rows for topic in some for rows in topic.rows])
-        for topic in some:
-            topic.rows.clear()
-    return joined
-
-
-def _own_times(rows: Rows) -> tuple[NDArray[np.int64] | None, NDArray[np.int64] | None]:
-    """The stamps of a topic's rows, and another clock's."""
-    names = rows.dtype.names or ()
-    other = next((name for name in OTHER_CLOCKS if name in names), None)
-    own = rows["timestamp"].astype(np.int64) if "timestamp" in names else None
-    return own, None if other is None else rows[other].astype(np.int64)
 
 
 def _placed(kind: str, rows: list[tuple[int, str, bytes]]) -> RowStamps:

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+
+from analysis.recordings.flight_logs.logged_rows import BLOCK_BYTES, BlockRows, gather_rows
 
 MAGIC = b"ULog\x01\x12\x35"
 HEADER_BYTES, HEAD = 16, 3  # of the file, and of a message
-BLOCK_BYTES = 1 << 25  # read at once, to limit memory
 LONGEST = HEAD + 0xFFFF
 KINDS = frozenset(b"ABCDFILMOPQRS")
 NUMBERS = {
@@ -41,18 +41,15 @@ SOUND = {
 }  # fmt: skip
 APPENDED, OFFSETS = 1, struct.Struct("<3Q")  # bit of the flags, and where data were appended
 
-Rows = NDArray[np.void]
-
 
 @dataclass(slots=True)
 class ULogTopic:
-    """A topic with its rows in blocks, of which the shortest have `least` bytes."""
+    """A topic, whose shortest rows have `least` bytes."""
 
     name: str
     instance: int
     dtype: np.dtype[np.void]
     least: int
-    rows: list[Rows] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -71,29 +68,26 @@ class ULogMessages:
     cut: bool = False  # whether the file ends within a message
 
 
-def read_messages(
-    path: Path, size: int, thin: Callable[[Rows], Rows], progress: Callable[[float], None]
-) -> ULogMessages:
-    """Read the messages in the first `size` bytes of a log; `thin` chooses rows of each block."""
-    found = ULogMessages()
+def walk_messages(
+    path: Path, size: int, found: ULogMessages, progress: Callable[[float], None]
+) -> Iterator[BlockRows]:
+    """Collect the messages in the first `size` bytes of a log; yields the topics' rows of each
+    block by name and instance."""
     with path.open("rb") as file:
         found.begin_us = int.from_bytes(file.read(HEADER_BYTES)[8:], "little")
         data, at = b"", HEADER_BYTES
         while at + len(data) < size:
             data += file.read(min(BLOCK_BYTES, size - at - len(data)))
             last = at + len(data) >= size
-            end = _read_block(found, data, at, last, thin)
+            end, rows = _read_block(found, data, at, last)
+            yield rows
             data, at = data[end:], at + end
             progress(min((at + len(data)) / size, 1.0))
-            if last:
-                break
-    return found
 
 
-def _read_block(
-    found: ULogMessages, data: bytes, at: int, last: bool, thin: Callable[[Rows], Rows]
-) -> int:
-    """Read the messages in a block that begins at `at` in the file; returns where they end."""
+def _read_block(found: ULogMessages, data: bytes, at: int, last: bool) -> tuple[int, BlockRows]:
+    """Read the messages in a block that begins at `at` in the file; returns where they end, and
+    rows."""
     places: dict[int, list[int]] = {}
     begin, stop = 0, len(data) if last else len(data) - 2 * LONGEST
     while begin < stop:
@@ -110,11 +104,11 @@ def _read_block(
         else:
             _define(found, at + begin, chr(data[begin + 2]), data[begin + HEAD : end])
         begin = end
-    for number, starts in places.items():
-        if number in found.topics:
-            topic = found.topics[number]
-            topic.rows.append(thin(_rows(data, at, np.array(starts, np.int64), topic)))
-    return begin
+    raw, head, rows = np.frombuffer(data, np.uint8), HEAD + 2, []
+    for topic, starts in ((found.topics[n], s) for n, s in places.items() if n in found.topics):
+        some = gather_rows(raw, at - head, np.array(starts) + head, topic.dtype, topic.least)
+        rows.append(((topic.name, topic.instance), some))
+    return begin, rows
 
 
 def _end_of(found: ULogMessages, data: bytes, begin: int) -> int:
@@ -210,13 +204,3 @@ def _flat_fields(
                 yield key, NUMBERS[kind]
             else:
                 yield from _flat_fields(formats, kind, f"{key}.")
-
-
-def _rows(data: bytes, at: int, starts: NDArray[np.int64], topic: ULogTopic) -> Rows:
-    """The rows of a topic's messages: offset in the file and fields."""
-    rows = np.zeros(len(starts), topic.dtype)
-    raw = rows.view(np.uint8).reshape(len(starts), -1)
-    windows = np.lib.stride_tricks.sliding_window_view(np.frombuffer(data, np.uint8), topic.least)
-    raw[:, 8 : 8 + topic.least] = windows[starts + HEAD + 2]
-    rows["at"] = starts + at
-    return rows

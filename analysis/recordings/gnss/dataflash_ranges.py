@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.flight_logs.autopilot_log import Topic
 from analysis.recordings.flight_logs.dataflash import read_dataflash
+from analysis.recordings.flight_logs.logged_rows import Topic
 from analysis.recordings.gnss.rinex_observations import SAME_CARRIER
 from analysis.recordings.gnss.ubx_log import HEAD, RANGE, SIGNALS, rawx_epoch
 from analysis.samples.sample import Epoch, Vector

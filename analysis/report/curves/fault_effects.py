@@ -5,7 +5,7 @@ but for those of an autopilot, whose flights differ a little without a fault too
 is evaluated until the next fault, or until `RECOVERY_S` after its end.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -108,21 +108,16 @@ def _truth(folder: Path, later_us: int = 0) -> StampedValues | None:
 
 def _estimates(folder: Path, later_us: int = 0) -> dict[str, StampedValues]:
     """The monitor's position, and attitude errors of the first estimator, by panel."""
-    places: list[tuple[int, tuple[float, ...]]] = []
-    angles: list[tuple[int, tuple[float, ...]]] = []
+    found: dict[str, list[tuple[int, tuple[float, ...]]]] = {}
     first = ""
     for result in read_results(folder / "results.jsonl"):
+        t_us = result.t_us + later_us
         if isinstance(result, Decision) and result.position_ecef_m is not None:
-            places.append((result.t_us + later_us, result.position_ecef_m))
+            found.setdefault("twin-position", []).append((t_us, result.position_ecef_m))
         elif isinstance(result, AttitudeError):
             first = first or result.estimator
             if result.estimator == first:
-                angles.append((result.t_us + later_us, (result.angle,)))
-    found = {"twin-position": _track(places), "twin-attitude": _track(angles)}
+                found.setdefault("twin-attitude", []).append((t_us, (result.angle,)))
     # Without results there is no curve.
-    return {panel: track for panel, track in found.items() if len(track.t_us)}
-
-
-def _track(rows: Iterable[tuple[int, tuple[float, ...]]]) -> StampedValues:
-    listed = list(rows)
-    return StampedValues(np.array([t_us for t_us, _ in listed]), np.array([v for _, v in listed]))
+    return {panel: StampedValues(*map(np.array, zip(*rows, strict=True)))
+            for panel, rows in sorted(found.items(), reverse=True)}  # fmt: skip

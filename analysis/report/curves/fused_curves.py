@@ -11,13 +11,9 @@ BAND = 3.0  # sigmas: 99.7 % of normally distributed errors
 
 def fused_errors(recording: FlightData) -> list[Signal]:
     """Errors of every fused track along each axis, and the 3-sigma bound of the fused solution."""
-    truth = recording.track("truth")
-    tracks = [track for track in recording.tracks if track.name.startswith(FUSED)]
-    if truth is None or not tracks:
-        return []
-    found = []
-    errors = [(track.name, *error_ned_m(track, truth)) for track in tracks]
-    for i, axis in enumerate(AXES):
+    found: list[Signal] = []
+    errors = solution_errors(recording)
+    for i, axis in enumerate(AXES if errors else ()):
         panel = f"fused-{axis}"
         found += [Signal(panel, name, t_s, error[:, i]) for name, t_s, error in errors]
         # Bounds on both sides show whether the errors agree with the sigmas.
@@ -25,6 +21,13 @@ def fused_errors(recording: FlightData) -> list[Signal]:
             found.append(Signal(panel, "+3 sigma", sigma.t_s, BAND * sigma.value))
             found.append(Signal(panel, "-3 sigma", sigma.t_s, -BAND * sigma.value))
     return found
+
+
+def solution_errors(recording: FlightData) -> list[tuple[str, Vector, Vector]]:
+    """Name, times (n,) and errors (n, 3) of each fused solution; none without the truth."""
+    truth = recording.track("truth")
+    tracks = [track for track in recording.tracks if track.name.startswith(FUSED)]
+    return [] if truth is None else [(t.name, *error_ned_m(t, truth)) for t in tracks]
 
 
 def error_ned_m(track: GroundTrack, truth: GroundTrack) -> tuple[Vector, Vector]:

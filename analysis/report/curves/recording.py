@@ -3,7 +3,7 @@
 Times `t_s` are in seconds on one axis per report, zero at the start of the schedule or of the log.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, NamedTuple
 
@@ -94,6 +94,16 @@ class Message(NamedTuple):
 
     t_s: Vector
     columns: Mapping[str, NDArray[Any]]
+
+
+def element_columns(
+    name: str, column: NDArray[Any], most: int | None = None
+) -> Iterator[tuple[str, NDArray[Any]]]:
+    """A field (n,), or each of the first `most` elements of an array field (n, k), by its name."""
+    if column.ndim == 1:
+        yield name, column
+    else:
+        yield from ((f"{name}[{i}]", part) for i, part in enumerate(column.T[:most]))
 
 
 class LinkQuality(NamedTuple):

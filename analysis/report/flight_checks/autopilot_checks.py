@@ -5,11 +5,14 @@ import numpy as np
 from analysis.report.curves.recording import FlightData, Span, Windows, inside_windows
 from analysis.report.judging.autopilot_texts import texts_check
 from analysis.report.judging.check_limits import Thresholds
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, is_within
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck
+from analysis.scoring.vehicle_outcome import is_within
 
 SWITCH_WINDOW_S = 10.0  # chosen: repeated switches within it show an unstable choice
 CLEARED_S = 1.0  # chosen: an estimator that clears a flag at arming does so within it
 LOG_START_S, STANDSTILL_MPS = 1.0, 1.0  # chosen: estimator start-up on the ground
+# The flag of a sensor, by its panel.
+FLAGS_OF = {"gps-fix": "GPS glitch", "mag": "compass timeout"}
 
 
 def run_checks(recording: FlightData, th: Thresholds, armed: Windows | None) -> list[FlightCheck]:
@@ -28,10 +31,9 @@ def _flags(recording: FlightData, armed: Windows | None) -> FlightCheck:
     # An empty list means never armed; None means unknown.
     if armed == []:
         return FlightCheck(name, NONE, "never armed")
-    spans = [s for s in recording.spans if s.kind == "flag"]
-    if not recording.of("gps-fix"):
-        # Without a receiver ArduPilot's estimator raises this flag from the beginning.
-        spans = [s for s in spans if s.text != "GPS glitch"]
+    # Without the sensor ArduPilot's estimator raises its flag from the beginning.
+    absent = {text for panel, text in FLAGS_OF.items() if not recording.of(panel)}
+    spans = [s for s in recording.spans if s.kind == "flag" and s.text not in absent]
     # Flags that were raised on the ground count too, if they do not end at arming.
     spans = [s for s in spans if _reaches(s, armed)]
     if armed is None:

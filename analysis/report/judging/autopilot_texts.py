@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from analysis.report.curves.recording import UNGRADED, Event, FlightData, Windows
-from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck, is_within
-from analysis.scoring.vehicle_outcome import HIT_GROUND, is_crash_text
+from analysis.report.judging.checks import FAIL, NONE, PASS, WARN, FlightCheck
+from analysis.scoring.vehicle_outcome import HIT_GROUND, is_crash_text, is_within
 
 ALARMING = re.compile(
     r"failsafe|crash|emergency|parachute|terminat|thrust loss|lost position|gps glitch"

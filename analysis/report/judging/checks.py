@@ -24,6 +24,7 @@ from analysis.report.curves.recording import (
 PASS, WARN, FAIL, NONE = "PASS", "WARN", "FAIL", "not judged"
 # "not judged" ranks below PASS.
 RANK = {NONE: 0, PASS: 1, WARN: 2, FAIL: 3}
+MET = {True: PASS, False: FAIL, None: NONE}  # the verdict of a criterion
 MIN_SAMPLES = 5  # chosen: a curve of fewer samples is not judged
 CAUSE_S, CHAIN_SHOWN = 10.0, 5  # chosen: a cause acts within this time; events in the sentence
 LONG_GAP_S = 5.0  # chosen: across a longer gap a value is not assumed to persist
@@ -177,11 +178,6 @@ def _evidence(label: str, t_s: Vector, value: Vector, limits: CheckLimits, sever
         f"{who}{word} {value[at]:.4g}{unit} at {t_s[at]:.1f} s, "
         f"{percent}{'st' if percent == 1 else 'th'} percentile {np.percentile(value, percent):.4g}"
     )
-
-
-def is_within(t_s: float, windows: Windows | None) -> bool:
-    """Whether an instant is within any of the windows (None: always)."""
-    return windows is None or any(start <= t_s <= end for start, end in windows)
 
 
 def chain_of(checks: Sequence[FlightCheck]) -> list[tuple[float, FlightCheck]]:

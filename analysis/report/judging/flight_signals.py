@@ -96,7 +96,7 @@ def collect_signals(
     if (own := f"{subject.replace('-', '_')}__attitude_error_deg") in values:
         values["attitude_error_deg"] = values[own]
     mode_at = np.full(len(grid.t_s), "", object)
-    for name, begin_s, end_s in _mode_spans(record):
+    for name, begin_s, end_s in record.mode_spans():
         mode_at[(grid.t_s >= begin_s) & (grid.t_s < end_s)] = name
     fault_s = min((start for start, _ in faults), default=None)
     return FlightSignals(grid.t_s, values, mode_at.tolist(), start_s, fault_s)
@@ -146,15 +146,10 @@ def _motion_signals(recording: FlightData, motion: VehicleMotion, grid: _Grid) -
     }
 
 
-def _mode_spans(record: VehicleRecord) -> list[tuple[str, float, float]]:
-    ends_s = [*(mode.t_s for mode in record.modes[1:]), np.inf]
-    return [(mode.text, mode.t_s, end) for mode, end in zip(record.modes, ends_s, strict=False)]
-
-
 def _event_flags(
     record: VehicleRecord, found: VehicleOutcome, flown: tuple[float, float], grid: _Grid
 ) -> dict[str, Vector]:
-    modes = _mode_spans(record)
+    modes = record.mode_spans()
     touched = any(event.kind == "touchdown" for event in found.events)
     landed = [(-np.inf, flown[0]), *([(flown[1], np.inf)] if touched else [])]
     # A failsafe lasts until the next change of the mode.

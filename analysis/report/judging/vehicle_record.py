@@ -11,7 +11,7 @@ from analysis.report.curves.recording import (
     merged_windows,
     true_runs,
 )
-from analysis.report.curves.vehicle_phase import FLYERS, armed_windows
+from analysis.report.curves.vehicle_phase import COPTER, FLYERS, HELI, armed_windows
 from analysis.report.judging.autopilot_texts import INFORMATION, is_alarming
 from analysis.scoring.vehicle_outcome import (
     TimedText,
@@ -33,7 +33,6 @@ STEERING, THROTTLE = ("channel 1", "channel 2"), ("throttle", "channel 3")
 CENTRE_US, HALF_RANGE_US = 1500.0, 500.0
 STICK_SHARE = 0.1  # chosen: beyond the dead zone, and the trim of a remote control
 BRAKED_S = 5.0  # chosen: a vehicle has stopped this long after the sticks are let go
-FIXED_WING_TYPE, PX4_FIXED_WING = 1, 2  # MAV_TYPE_FIXED_WING, vehicle_status.vehicle_type
 
 
 def vehicle_outcome(recording: FlightData) -> VehicleOutcome:
@@ -162,14 +161,8 @@ def _felt_force(recording: FlightData) -> tuple[Vector, Vector] | None:
 
 def _hovers(recording: FlightData) -> bool:
     """Whether the vehicle holds a place in the air; a fixed wing circles around it."""
-    beats, status = (recording.messages.get(name) for name in ("HEARTBEAT", "vehicle_status"))
-    if beats is not None:
-        return not (beats.columns["type"] == FIXED_WING_TYPE).any()
-    if status is not None and "vehicle_type" in status.columns:
-        return not (status.columns["vehicle_type"] == PX4_FIXED_WING).any()
-    spoken = " ".join(event.text for event in recording.events[:100] if event.kind == "text")
     # A copter that is guided from outside flies from place to place.
-    return "ArduCopter" in spoken and "GUIP" not in recording.messages
+    return recording.vehicle in (COPTER, HELI) and "GUIP" not in recording.messages
 
 
 def _steered(recording: FlightData) -> Windows:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from analysis.report.curves.recording import Message, Vector
+from analysis.report.curves.recording import Message, Vector, element_columns
 from analysis.report.page.packed_numbers import PackedNumbers
 from mavproxy_fault.documents.errors import ConfigError
 
@@ -93,11 +93,8 @@ def _columns(message: Message, step: int) -> Iterator[tuple[str, Vector]]:
         if name in ("timestamp", "TimeUS") or column.dtype.kind not in "iufb":
             continue
         shown = True
-        if column.ndim == 1:
-            yield name, column[::step].astype(float)
-        else:
-            for i in range(min(column.shape[1], LONGEST_ARRAY)):
-                yield f"{name}[{i}]", column[::step, i].astype(float)
+        for element, values in element_columns(name, column[::step], LONGEST_ARRAY):
+            yield element, values.astype(float)
     if not shown:
         yield "count", np.arange(1.0, len(message.t_s) + 1)[::step]
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from analysis.report.curves.fused_curves import AXES, BAND, FUSED, error_ned_m
-from analysis.report.curves.recording import FlightData, GroundTrack, Vector
+from analysis.report.curves.fused_curves import AXES, BAND, FUSED, solution_errors
+from analysis.report.curves.recording import FlightData, Vector
 from analysis.report.page.page_parts import ReportTable
 
 NOTE = (
@@ -14,15 +14,13 @@ NOTE = (
 
 def fused_table(recording: FlightData) -> ReportTable | None:
     """One row per fused solution; None without the truth or a fused solution."""
-    truth = recording.track("truth")
-    tracks = [track for track in recording.tracks if track.name.startswith(FUSED)]
-    if truth is None or not tracks:
-        return None
+    # The sigma curves are those of this solution.
     rows = [
-        # The sigma curves are those of this solution.
-        _row(track, truth, _sigmas(recording) if track.name == FUSED else None)
-        for track in tracks
+        _row(name, t_s, error, _sigmas(recording) if name == FUSED else None)
+        for name, t_s, error in solution_errors(recording)
     ]
+    if not rows:
+        return None
     head = ("solution", "epochs", "position RMSE, m", "largest, m", "within 3 sigma", "NEES")
     return ReportTable("Fused, with and without isolation", head, rows, NOTE)
 
@@ -36,11 +34,10 @@ def _sigmas(recording: FlightData) -> tuple[Vector, Vector] | None:
 
 
 def _row(
-    track: GroundTrack, truth: GroundTrack, sigmas: tuple[Vector, Vector] | None
+    name: str, t_s: Vector, error: Vector, sigmas: tuple[Vector, Vector] | None
 ) -> tuple[str, ...]:
-    t_s, error = error_ned_m(track, truth)
     if not len(t_s):
-        return (track.name, "0", "", "", "", "")
+        return (name, "0", "", "", "", "")
     length = np.sqrt((error**2).sum(axis=1))
     inside = nees = ""
     if sigmas is not None:
@@ -51,4 +48,4 @@ def _row(
         inside = f"{100 * float(np.mean(np.abs(shares) < BAND)):.1f} %"
         nees = f"{float((shares**2).sum(axis=1).mean()):.2f}"
     rmse = float(np.sqrt(np.mean(length**2)))
-    return (track.name, str(len(t_s)), f"{rmse:.2f}", f"{length.max():.2f}", inside, nees)
+    return (name, str(len(t_s)), f"{rmse:.2f}", f"{length.max():.2f}", inside, nees)

@@ -49,19 +49,11 @@ def _table(seen: Sequence[Decision]) -> tuple[Vector, list[str]]:
     step = max(1, sum(len(d.satellites) for d in seen) // MOST_POINTS)
     rows = []
     for decision in seen[::step]:
-        residuals = decision.residual_m or (None,) * len(decision.satellites)
-        for i, name in enumerate(decision.satellites):
-            residual = residuals[i]
-            rows.append(
-                (
-                    decision.elevation_deg[i],
-                    decision.azimuth_deg[i],
-                    np.nan if residual is None else residual,
-                    float(name in decision.excluded),
-                    places[name],
-                )
-            )
-    return np.array(rows), names
+        unknown = (None,) * len(decision.satellites)
+        directions = decision.elevation_deg, decision.azimuth_deg
+        columns = zip(*directions, decision.residual_m or unknown, decision.satellites, strict=True)
+        rows += [(*row, name in decision.excluded, places[name]) for *row, name in columns]
+    return np.array(rows, float), names
 
 
 def _svg(figure: Any) -> bytes:

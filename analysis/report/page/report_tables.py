@@ -13,7 +13,7 @@ from analysis.report.curves.panels import (
     TIMELINE,
 )
 from analysis.report.curves.recording import FlightData
-from analysis.report.judging.checks import FAIL, NONE, PASS, RANK, FlightCheck, worst_first
+from analysis.report.judging.checks import FAIL, MET, NONE, PASS, RANK, FlightCheck, worst_first
 from analysis.report.page.fused_table import fused_table
 from analysis.report.page.page_parts import Cell, ReportTable, TimeButtons
 from analysis.report.recordings.from_results import isolation_matrix
@@ -35,7 +35,6 @@ FALSE_COLUMNS = {
     "per hour": "per_hour", "isolated": "blamed", "for, s": "seconds",
 }  # fmt: skip
 REACTION_COLUMNS = {"t, s": "t_s", "after, s": "after_s", "reaction": "text"}
-MET = {True: PASS, False: FAIL, None: NONE}
 
 
 def run_facts(summary: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -143,9 +143,7 @@ def _tlogs(paths: Sequence[Path], t0_us: int | None) -> FlightData:
     logs = {}
     for path in paths:
         with reading_bar(path) as progress:
-            logs[path.name] = read_contents(path, progress)
-    for path in paths:
-        log = logs[path.name]
+            log = logs[path.name] = read_contents(path, progress)
         if log.frames == 0 or log.junk_bytes > (1 - LEAST_SHARE) * log.size:
             raise ConfigError(
                 f"{path}: {log.size} bytes without MAVLink frames; give a tlog, a ULog or an "

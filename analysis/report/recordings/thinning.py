@@ -6,15 +6,16 @@ kept, and those with the minimum and maximum of each field, so that no peak is l
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from analysis.recordings.flight_logs.dataflash_blocks import BLOCK_BYTES
 from analysis.recordings.flight_logs.log_stamps import StampState, steady_stamps
+from analysis.recordings.flight_logs.logged_rows import BLOCK_BYTES, Rows, Thin
+from analysis.report.curves.recording import element_columns
+from analysis.report.recordings.from_tlog import merge_logs
 from analysis.report.recordings.link_quality import LastFrame, sum_stretches
 from analysis.report.recordings.reading_bar import ReportProgress
 from mavproxy_fault.wire import tlog
@@ -28,8 +29,6 @@ SENDING = ("t_us", "system", "component", "seq", "at", "TimeUS", "timestamp")
 LONGEST_VECTOR = 4  # longest array fields whose elements are searched for extremes
 HEAD = 11  # bytes of a row with its time and sender
 OFFSET_AND_TIME = 16  # bytes of a row of another log
-
-Rows = NDArray[np.void]
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +70,7 @@ def read_contents(path: Path, progress: ReportProgress) -> TlogContents:
     thin = size > WHOLE_BYTES
     # Row limit per block, so that all blocks together keep `ROWS`.
     budget = max(60, ROWS * tlog.BLOCK_FRAMES * LEAST_RECORD // max(size, 1))
-    parts: dict[str, list[Rows]] = {}
+    blocks: list[Columns] = []
     links: list[NDArray[np.void]] = []
     senders: dict[int, LastFrame] = {}
     frames = junk_bytes = 0
@@ -79,36 +78,41 @@ def read_contents(path: Path, progress: ReportProgress) -> TlogContents:
     clock = StampState()
     for part in tlog.read_parts(path) if thin else [tlog.read_log(path)]:
         steady_stamps(part.frames, part.columns, clock)
-        for name, rows in part.columns.items():
-            kept = [thin_rows(some, budget) for some in _by_system(rows)] if thin else [rows]
-            parts.setdefault(name, []).extend(kept)
+        blocks.append(_thinned(part.columns, budget) if thin else part.columns)
         links.append(sum_stretches(part.frames, senders, clock.restarts_us))
         frames += len(part.frames)
         unknown.update(part.frames["id"][~part.frames["known"]].tolist())
         junk_bytes += part.junk_bytes
         progress(part.end / part.size)
-    columns = {name: some[0] if len(some) == 1 else _sorted(some) for name, some in parts.items()}
     return TlogContents(
-        columns, np.concatenate(links), frames, unknown, junk_bytes, size, thin, clock.notes()
+        merge_logs(blocks),
+        np.concatenate(links),
+        frames,
+        unknown,
+        junk_bytes,
+        size,
+        thin,
+        clock.notes(),
     )
 
 
-def block_thinning(size: int) -> Callable[[Rows], Rows]:
-    """Thins the rows of a message in one block of a ULog or dataflash log of `size` bytes."""
+def block_thinning(size: int) -> Thin | None:
+    """Thins the rows of a message in one block of a ULog or dataflash log of `size` bytes, if it is
+    large."""
     if size <= WHOLE_BYTES:
-        return lambda rows: rows
+        return None
     budget = max(60, ROWS * BLOCK_BYTES // size)
     return lambda rows: thin_rows(rows, budget, OFFSET_AND_TIME)
 
 
-def _by_system(rows: Rows) -> Iterator[Rows]:
-    for system in np.unique(rows["system"]):
-        yield rows[rows["system"] == system]
-
-
-def _sorted(some: Sequence[Rows]) -> Rows:
-    rows = np.concatenate(some)
-    return rows[np.argsort(rows["t_us"], kind="stable")]
+def _thinned(columns: Columns, budget: int) -> Columns:
+    """The columns of a block, with up to `budget` rows of each message of each system."""
+    return {
+        name: np.concatenate(
+            [thin_rows(rows[rows["system"] == n], budget) for n in np.unique(rows["system"])]
+        )
+        for name, rows in columns.items()
+    }
 
 
 def thin_rows(rows: Rows, budget: int, head: int = HEAD) -> Rows:
@@ -122,20 +126,17 @@ def thin_rows(rows: Rows, budget: int, head: int = HEAD) -> Rows:
     # Texts and modes are kept at every change.
     if "custom_mode" in names or any(rows.dtype[name].kind == "S" for name in names):
         return rows[_changes(rows, head)]
-    curves = [column for name in names if name not in SENDING for column in _curves(rows[name])]
+    curves = [
+        column.astype(float)
+        for name in names
+        if name not in SENDING and rows[name].dtype.kind in "iufb"
+        for _, column in element_columns(name, rows[name], LONGEST_VECTOR)
+    ]
     # Half of the budget is for extremes, two per bucket and curve.
     buckets = max(1, budget // (4 * max(len(curves), 1)))
     picked = [np.arange(0, len(rows), max(1, 2 * len(rows) // budget))]
     picked += [extreme_indices(curve, buckets) for curve in curves]
     return rows[np.unique(np.concatenate(picked))]
-
-
-def _curves(column: NDArray[np.generic]) -> list[NDArray[np.float64]]:
-    if column.dtype.kind not in "iufb":
-        return []
-    if column.ndim == 1:
-        return [column.astype(float)]
-    return [column[:, i].astype(float) for i in range(min(column.shape[1], LONGEST_VECTOR))]
 
 
 def _changes(rows: Rows, head: int) -> NDArray[np.bool_]:

@@ -42,3 +42,14 @@ def test_a_flag_that_ends_at_arming_is_none_of_the_flight(until_s: float, verdic
     found.signals.append(Signal("ratio", "velocity", t_s, np.zeros(len(t_s))))
     found.spans.append(Span("estimator: velocity timeout", 0.1, until_s, "timeout", "flag"))
     assert run_checks(found, Thresholds(), [(5.0, 20.0)])[0].verdict == verdict
+
+
+@pytest.mark.parametrize(("text", "panel"), [("compass timeout", "mag"), ("GPS glitch", "gps-fix")])
+def test_the_flag_of_a_sensor_that_is_not_fitted_is_ignored(text: str, panel: str) -> None:
+    found = FlightData("flight", "ardupilot", 0, 20.0)
+    t_s = np.arange(0.0, 20.0, 0.2)
+    found.signals.append(Signal("ratio", "velocity", t_s, np.zeros(len(t_s))))
+    found.spans.append(Span(f"estimator: {text}", 0.1, 20.0, text, "flag"))
+    assert run_checks(found, Thresholds(), [(5.0, 20.0)])[0].verdict == PASS
+    found.signals.append(Signal(panel, "first", t_s, np.full(len(t_s), 3.0)))
+    assert run_checks(found, Thresholds(), [(5.0, 20.0)])[0].verdict == WARN

@@ -9,7 +9,6 @@ from analysis.report.curves.recording import (
     Event,
     FlightData,
     GroundTrack,
-    Message,
     Signal,
     Span,
 )
@@ -141,10 +140,9 @@ def loiter(sticks: list[Signal]) -> FlightData:
     track = GroundTrack("estimate", t_s, 47.0 + north_m / 111_195, np.full(600, 8.0), height_m)
     signals = [Signal("height", "estimate", t_s, height_m), *sticks]
     spans = [Span("armed", 1.0, 59.0, "armed", "mode"), Span("mode", 0.0, 60.0, "LOITER", "mode")]
-    copter = Message(t_s[:1], {"type": np.array([2])})
     return FlightData(
         "x", "ardupilot", duration_s=60.0, signals=signals, spans=spans, tracks=[track],
-        messages={"HEARTBEAT": copter},
+        vehicle="copter",
     )  # fmt: skip
 
 

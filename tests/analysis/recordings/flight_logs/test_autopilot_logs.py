@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from analysis.recordings.flight_logs import autopilot_logs, dataflash_blocks, ulog_messages
 from analysis.recordings.flight_logs.dataflash import read_dataflash
 from analysis.recordings.flight_logs.log_condition import LogCondition
 from analysis.recordings.read_recordings import read_log
@@ -197,3 +198,58 @@ def test_unhealthy_measurements_are_ignored(tmp_path: Path) -> None:
     assert len(topics["MAG", 2]["TimeUS"]) == 10
     (block,) = read_log(path)
     assert len(block.rows(SPARE)) == 4
+
+
+def in_blocks(
+    path: Path, size: int, monkeypatch: pytest.MonkeyPatch
+) -> tuple[int, list[np.ndarray], LogCondition]:
+    """How many blocks a log is read in, kinds, times and values, and what was noted."""
+    for module in (autopilot_logs, dataflash_blocks, ulog_messages):
+        monkeypatch.setattr(module, "BLOCK_BYTES", size)
+    condition = LogCondition()
+    blocks = list(read_log(path, condition))
+    columns = [np.concatenate([np.asarray(block[i]) for block in blocks]) for i in range(3)]
+    return len(blocks), columns, condition
+
+
+@pytest.mark.parametrize("damage", ["none", "restart", "wrong stamp", "dropped"])
+def test_a_dataflash_log_in_blocks_gives_the_same_samples(
+    damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, begin = dataflash(tmp_path / "a.bin", "IMU").read_bytes(), 15_000_000
+    data = data[: len(FORMATS) * 89]
+    head = data
+    for tick in range(6000):
+        t_us = begin + tick * 10_000
+        if damage == "restart" and tick >= 3000:
+            data += head if tick == 3000 else b""
+            t_us -= 40_000_000
+        wrong = 1 << 40 if damage == "wrong stamp" and tick in (2001, 4400) else 0
+        data += row("IMU", t_us + wrong, tick, 0.2, 0.3, 0.0, 0.0, -9.8)
+        if tick % 20 == 0:
+            # Logged after the next samples, as by a driver that is late.
+            data += row("GPS", t_us - 30_000, 3, 12, 0.8, 470_000_000, tick, 500.0, 5.0, 90.0, -1)
+            data += row("GPA", t_us - 30_000, 80, tick % 90, 25)
+            data += row("DSF", t_us, 1000 * (damage == "dropped") * (tick > 900))
+    path = tmp_path / "log.bin"
+    path.write_bytes(data)
+    _, whole, noted = in_blocks(path, 1 << 25, monkeypatch)
+    for size in (20_000, 33_333):
+        count, found, condition = in_blocks(path, size, monkeypatch)
+        assert count > 5
+        assert condition == noted
+        # How long a restart took is not logged: a second after the last row that was kept.
+        assert np.abs(found[1] - whole[1]).max() <= (20_000 if damage == "restart" else 0)
+        for one, other in zip(found[::2], whole[::2], strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_a_ulog_in_blocks_gives_the_same_samples(
+    shared_data: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = shared_data / "ulog" / "gps_interference.ulg"
+    _, whole, _ = in_blocks(path, 1 << 25, monkeypatch)
+    count, found, _ = in_blocks(path, 300_000, monkeypatch)
+    assert count > 5
+    for one, other in zip(found, whole, strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -102,7 +102,7 @@ def test_a_second_boot_in_the_file_comes_after_the_first(tmp_path: Path) -> None
     path = tmp_path / "two.bin"
     path.write_bytes(log() + log())
     found = read_dataflash(path)
-    assert found.times.restarts == 1
+    assert found.times.clock.restarts == 1
     times = found.topics["ATT", 0]["TimeUS"]
     assert len(times) == 2 * SECONDS * 10
     assert np.all(np.diff(times) > 0)

@@ -42,7 +42,7 @@ def test_a_clock_that_is_set_moves_no_row(by_us: int, begin_us: int | None) -> N
     stamps = DENSE_US + np.where(DENSE_US > 120_000_000, by_us, 0)
     found = placed(stamps.astype(np.uint64), begin_us)
     assert np.abs(found.times["imu"] - DENSE_US).max() < 20_000
-    assert (found.settings, found.restarts) == (1, 0)
+    assert (len(found.clock.edges), found.clock.restarts) == (1, 0)
 
 
 def test_stamps_at_the_ends_of_their_range_overflow_nothing() -> None:
