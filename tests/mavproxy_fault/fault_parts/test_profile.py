@@ -83,8 +83,8 @@ def test_a_sine_has_its_amplitude_frequency_and_offset() -> None:
 
 def test_a_live_value_is_stale_after_its_timeout() -> None:
     profile = Profile(live=LiveInput(timeout_s=0.5))
-    assert profile.value(1.5, hold_live_value(None, 1.0, 7.0)) == 7
-    assert profile.value(1.51, hold_live_value(None, 1.0, 7.0)) is None
+    assert profile.value(1.5, hold_live_value(None, 0, 1_000_000, 7.0)) == 7
+    assert profile.value(1.51, hold_live_value(None, 0, 1_000_000, 7.0)) is None
 
 
 def table(path: Path, rows: list[tuple[float, float]], **keys: object) -> Profile:
