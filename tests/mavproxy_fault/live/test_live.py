@@ -123,7 +123,7 @@ def test_inject_sets_any_key_of_an_entry_and_lists_faults(
     capsys.readouterr()
     assert inject(loop, "--list") == 0
     head, line = capsys.readouterr().out.splitlines()
-    assert head.split() == ["ID", "STATE", "FAULT", "FROM", "UNTIL", "FRAMES", "ON"]
+    assert head.split() == ["id", "state", "fault", "from", "s", "to", "s", "frames", "target"]
     assert line.split() == ["gaps", "active", "drop", "4.0", "6.0", "0", "HIL_GPS"]
 
 
