@@ -92,7 +92,7 @@ def trials(samples: list[Sample], clean: list[Decision], config: DetectorConfig)
     fault_us = max(60_000_000, 20 * step_us)
     cells = []
     for kind, size_m in FAULTS:
-        rng, right, total, told = np.random.default_rng(1), 0, 0, 0
+        rng, right, total, reported = np.random.default_rng(1), 0, 0, 0
         for _ in range(TRIALS):
             name = str(rng.choice(often))
             own = [d.t_us for d in clean if name in d.satellites and name not in d.excluded]
@@ -119,10 +119,10 @@ def trials(samples: list[Sample], clean: list[Decision], config: DetectorConfig)
                     wanted = {name} if kind != "second" or config.ionosphere_free else set()
                     right += set(d.excluded) == usual[d.t_us] | wanted
                     signal = signals[name][kind == "second"]
-                    told += any(
+                    reported += any(
                         n == name and f"on {signal} is" in t for n, t in texts.get(d.t_us, ())
                     )
-        cells.append(f"{100 * right / max(total, 1):.0f} / {100 * told / max(total, 1):.0f}")
+        cells.append(f"{100 * right / max(total, 1):.0f} / {100 * reported / max(total, 1):.0f}")
     return cells
 
 
