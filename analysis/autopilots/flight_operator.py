@@ -38,7 +38,8 @@ VEHICLE_KINDS = {1: "fixedwing"} | dict.fromkeys(
     (2, 3, 4, 13, 14, 15), "multirotor"
 )  # by MAV_TYPE_
 REST_S = 2.0  # on the ground, so that what hit it with its motors off is recorded to its end
-# After an upload and at each change of mode PX4 reads the items of a mission, for about a second.
+# After an upload and at each change of mode PX4 reads up to three items of a mission, and waits for
+# each for a second at most.
 READING_US = 3_000_000
 # Without a frame for ten of PX4's heartbeats its threads of low priority do not run, nor does it
 # read ours: after 10 s it would return for want of a ground station.

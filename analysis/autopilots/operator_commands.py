@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from mavproxy_fault.wire.dialect import Layout, message_layout
 from mavproxy_fault.wire.frame import Frame, build_frame
 from simvehicle.autopilot.enums import Command
-from simvehicle.autopilot.mission_service import MissionItem, waypoint_items
+from simvehicle.autopilot.mission_service import waypoint_items
 from simvehicle.guidance.waypoints import Waypoint
 
 COMMAND_LONG, MISSION_COUNT = message_layout("COMMAND_LONG"), message_layout("MISSION_COUNT")
@@ -56,14 +56,20 @@ class OperatorCommands:
         landing: Sequence[Waypoint] = (),
     ) -> None:
         self._modes = modes
-        self._items = mission_items(waypoints, landing, home_is_first=modes.home_is_first)
-        first = len(self._items) - len(waypoint_items(landing))  # item of the approach
+        mission, approach = list(waypoint_items(waypoints)), list(waypoint_items(landing))
         self._landing_commands: list[tuple[float, ...]] = []  # those that are not accepted yet
-        if landing:
+        if approach:
+            if mission:  # in between the plane circles
+                mission.append(replace(mission[-1], command=Command.LOITER_UNLIMITED))
+            approach[-1] = replace(approach[-1], command=Command.LAND)
             self._landing_commands = [
-                (Command.SET_MISSION_CURRENT, first),
+                (Command.SET_MISSION_CURRENT, len(mission) + modes.home_is_first),
                 (Command.SET_MODE, CUSTOM_MODE, *modes.mission),
             ]
+        self._items = [*mission, *approach]
+        if self._items and modes.home_is_first:
+            # Any position will do: ArduPilot replaces it.
+            self._items.insert(0, self._items[-1])
         self._before_arming = list(modes.before_arming)
         self._requested_mode: Mode = ()
         self._lands_by_mission = not modes.land
@@ -152,17 +158,3 @@ class OperatorCommands:
         self._pending.append(
             build_frame(layout, values, seq=self._seq, system=GROUND_STATION, component=COMPONENT)
         )
-
-
-def mission_items(
-    waypoints: Sequence[Waypoint], landing: Sequence[Waypoint], *, home_is_first: bool
-) -> tuple[MissionItem, ...]:
-    """The items of a mission: between its waypoints and the approach, the plane circles."""
-    items = list(waypoint_items(waypoints))
-    if items and landing:
-        items.append(replace(items[-1], command=Command.LOITER_UNLIMITED))
-    if landing:
-        items += waypoint_items(landing)
-        items[-1] = replace(items[-1], command=Command.LAND)
-    # Any position will do for home: ArduPilot replaces it.
-    return (items[-1], *items) if items and home_is_first else tuple(items)

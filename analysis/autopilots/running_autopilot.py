@@ -54,15 +54,16 @@ class Pacer:
     def __init__(self, autopilot: RunningAutopilot) -> None:
         self._autopilot = autopilot
         self.started = not autopilot.startup_text
-        self._began_s: float | None = None  # when the limit began to hold, and the first limit
-        self._made_s, self._began_us = time.monotonic(), 0
+        self._made_s = time.monotonic()
+        self._began_s: float | None = None  # when the limit began to hold
+        self._began_us = 0  # vehicle time then
 
     def wait_for_pace(self, t_us: int, *, careful: bool) -> None:
         """Sleep while the flight is ahead of its pace."""
-        now_s = time.monotonic()
         if self.started and not careful:
             self._began_s = None
             return
+        now_s = time.monotonic()
         if self._began_s is None:
             self._began_s, self._began_us = now_s, t_us
         ahead_s = (t_us - self._began_us) * 1e-6 / CAREFUL_SPEED - (now_s - self._began_s)
@@ -70,11 +71,10 @@ class Pacer:
             return
         time.sleep(ahead_s)
         if not self.started:
-            printed = self._autopilot.startup_text in self._autopilot.log.read_text(
-                errors="replace"
-            )
+            printed = self._autopilot.log.read_text(errors="replace")
             # Another version may print another text.
-            self.started = printed or time.monotonic() - self._made_s > STARTUP_LIMIT_S
+            late = time.monotonic() - self._made_s > STARTUP_LIMIT_S
+            self.started = late or self._autopilot.startup_text in printed
 
 
 @contextlib.contextmanager
