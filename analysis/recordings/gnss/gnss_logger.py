@@ -80,9 +80,9 @@ def _epochs(lines: list[str]) -> Iterator[Epoch]:
         for row in together:
             try:
                 if at_ns < 0:
-                    if discontinuities != row["HardwareClockDiscontinuityCount"] or not bias_ns:
-                        discontinuities = row["HardwareClockDiscontinuityCount"]
-                        bias_ns = int(row["FullBiasNanos"])
+                    count = row["HardwareClockDiscontinuityCount"]
+                    if discontinuities != count or not bias_ns:
+                        bias_ns, discontinuities = int(row["FullBiasNanos"]), count
                     at_ns = int(clock) - bias_ns
                 found = _observation(row, at_ns)
             except (KeyError, ValueError):

@@ -96,6 +96,22 @@ def test_the_clock_is_continuous_until_it_is_set(tmp_path: Path) -> None:
     assert third - first == pytest.approx(900e-9 * SPEED_OF_LIGHT_MPS, abs=1e-3)
 
 
+def test_a_damaged_first_row_after_the_clock_was_set_costs_that_row_only(tmp_path: Path) -> None:
+    rows = []
+    for second, count in enumerate((7, 8)):
+        sent_ns = (GPS_NS + second * 10**9 - TRAVEL_NS) % WEEK_NS
+        set_ns = second * 10**6  # the clock, by one millisecond
+        clock = {"TimeNanos": CLOCK_NS + second * 10**9 + set_ns}
+        clock["FullBiasNanos"] = clock["TimeNanos"] - GPS_NS - second * 10**9
+        clock["HardwareClockDiscontinuityCount"] = count
+        if second:
+            rows.append(line(GPS, 6, sent_ns, KNOWN, **clock | {"FullBiasNanos": "-16#"}))
+        rows.append(line(GPS, 5, sent_ns, KNOWN, **clock))
+    epochs = read_gnss_logger(write(tmp_path, *rows))
+    assert [epoch.satellites for epoch in epochs] == [("G05",), ("G05",)]
+    assert epochs[1].pseudorange_m[0] == pytest.approx(epochs[0].pseudorange_m[0], abs=1e-3)
+
+
 def test_a_text_that_is_no_log_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="give a log of GnssLogger"):
         read_gnss_logger(write(tmp_path))
